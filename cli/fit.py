@@ -1,0 +1,125 @@
+"""``idapt fit``: Algorithm 1 as a LightningCLI application."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import sys
+from pathlib import Path
+
+import lightning as L
+from jsonargparse import Namespace
+from lightning.pytorch.callbacks import TQDMProgressBar
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+
+from cli.provenance import write_provenance
+from cli.table import print_summary
+from idapt_pl.evaluation import Evaluation
+from idapt_pl.fitting import Factories, Feeding, Fitting
+from idapt_pl.grounding import IterativeGrounding, Schedule
+from idapt_pl.ledger import Ledger
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.references import train_oracle
+from idapt_pl.stage import Stages
+from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.worlds import Worlds
+
+DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "encoder"}
+"""Constructor arguments that the task and the data determine, never typed in a config."""
+
+MODULES: dict[str, type[L.LightningModule]] = {
+    "state_predictor": StatePredictor,
+    "visual": VisualTransformation,
+    "dynamics": ActionTransformation,
+    "policy": AsymmetricSAC,
+}
+
+
+class StageProgressBar(TQDMProgressBar):
+    """A progress bar that names the stage."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(refresh_rate=10)
+        self.title = title
+
+    @property
+    def train_description(self) -> str:
+        return self.title
+
+
+class GroundingCLI(LightningCLI):
+    """One config key for each thing there is: the run, its schedule, the four modules, the Trainer."""
+
+    def __init__(self, args: list[str] | Namespace) -> None:
+        super().__init__(
+            args=args,
+            run=False,
+            save_config_callback=None,
+            seed_everything_default=False,
+            parser_kwargs={"prog": "idapt fit", "description": __doc__},
+        )
+
+    def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--seed", type=int, default=0, help="root seed; every stage derives its own")
+        parser.add_argument("--run_dir", type=str, default=None, help="run folder; default runs/<task>_<target>_<seed>")
+        parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
+        parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
+        parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
+        parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
+        parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
+        parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
+        parser.add_class_arguments(Schedule, "schedule")
+        parser.add_class_arguments(Feeding, "feeding")
+        for name, module in MODULES.items():
+            parser.add_class_arguments(module, name, skip=DIMENSIONS, instantiate=False)
+        parser.add_lightning_class_args(L.Trainer, "trainer")
+
+    def instantiate_classes(self) -> None:
+        self.config_init = self.parser.instantiate_classes(self.config)
+
+    def trainer_for(self, folder: Path, batches: int) -> L.Trainer:
+        """A fresh Trainer for one stage; its metrics go to the stage's folder."""
+        step, name = folder.parent.name, folder.name
+        return self.instantiate_trainer(
+            default_root_dir=str(folder),
+            logger=[TensorBoardLogger(folder, name="", version=""), CSVLogger(folder, name="", version="")],
+            callbacks=[StageProgressBar(f"{step} {name}")] if sys.stderr.isatty() else [],
+            max_epochs=1,
+            limit_train_batches=batches,
+            log_every_n_steps=max(1, batches // 250),
+            enable_progress_bar=sys.stderr.isatty(),
+            enable_checkpointing=False,
+            enable_model_summary=False,
+        )
+
+
+def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
+    """The run that a config describes, and its folder."""
+    config = cli.config_init
+    task = make_task(config.task)
+    run_dir = Path(config.run_dir or f"runs/{config.task}_{config.target}_{config.seed}")
+    worlds = Worlds(
+        task, task.domain("source"), task.domain(config.target), Ledger(run_dir / "ledger.json"),
+        config.image_size, config.frame_stack,
+    )
+    stages = Stages(run_dir, config.seed, cli.trainer_for)
+    factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}
+    fitting = Fitting(worlds, stages, Factories(**factories), config.feeding)
+    evaluation = Evaluation(worlds, stages, config.episodes, config.target)
+    return IterativeGrounding(fitting, evaluation, config.schedule), run_dir
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt fit``."""
+    for noisy in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    cli = GroundingCLI(args)
+    grounding, run_dir = build(cli)
+    write_provenance(cli.parser, cli.config, run_dir)
+    summary = grounding.run()
+    if cli.config.oracle:
+        train_oracle(grounding)
+        summary = grounding.evaluation.summary(grounding.schedule.grounding_steps)
+    print_summary(summary, run_dir)
+    return 0

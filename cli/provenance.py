@@ -1,0 +1,71 @@
+"""What a run folder says about how it came to be."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+
+import torch
+import yaml
+from jsonargparse import ArgumentParser, Namespace
+
+from idapt_pl.files import write_atomically, write_json
+
+PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
+
+
+def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -> None:
+    """Write ``config.yaml`` (complete, re-runnable) and ``run.json``; a resumed run must have the same config.
+
+    Raises:
+        ValueError: if the folder holds a run with another config.
+    """
+    text = parser.dump(config, skip_none=False)
+    path = run_dir / "config.yaml"
+    if path.exists() and (different := changed_keys(yaml.safe_load(path.read_text()), yaml.safe_load(text))):
+        raise ValueError(
+            f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
+            f"Choose another --run_dir, or resume with --config {path}."
+        )
+    write_atomically(path, lambda p: p.write_text(text))
+    write_json(
+        run_dir / "run.json",
+        {
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seed": config.seed,
+            "git_commit": git_commit(),
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "cpu_threads": torch.get_num_threads(),
+            "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+            "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+        },
+    )
+
+
+def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
+    """Dotted keys whose values differ."""
+    keys = []
+    for key in sorted({*old, *new} - {"config", "trainer"}):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            keys += changed_keys(a, b, f"{prefix}{key}.")
+        elif a != b:
+            keys.append(prefix + key)
+    return keys
+
+
+def git_commit() -> str | None:
+    """The commit this code is at, with ``+dirty`` if it was changed since; None outside a checkout."""
+    here = Path(__file__).parent
+
+    def git(*args: str) -> str:
+        return subprocess.run(["git", "-C", str(here), *args], capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "HEAD") + ("+dirty" if git("status", "--porcelain") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None

@@ -1,0 +1,24 @@
+"""The final table of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+
+def print_summary(summary: dict, run_dir: Path) -> None:
+    """Print the references and every grounding step."""
+    table = Table(title=f"{summary['task']}: source -> {summary['target']} (seed {summary['seed']})")
+    table.add_column("policy")
+    table.add_column(f"target {summary['metric']}, mean of {summary['episodes']} episodes", justify="right")
+    table.add_row("direct transfer", f"{summary['direct_transfer']:.1f}")
+    table.add_row("visual grounding only", f"{summary['visual_only']:.1f}")
+    for k, value in enumerate(summary["grounded"], 1):
+        table.add_row(f"IDAPT, grounding step {k}", f"{value:.1f}")
+    table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
+    console = Console()
+    console.print(table)
+    console.print(f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min")
+    console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}")

@@ -1,0 +1,71 @@
+"""On-policy data for GARAT: each batch is a fresh rollout beside the target's transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import lightning as L
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+
+Rollout = dict[str, torch.Tensor]
+Encode = Callable[[np.ndarray], torch.Tensor]
+"""Pixels uint8 (n, K, H, W, 3) to features (n, d)."""
+
+
+def encode_transitions(data: FrameStacks, encode: Encode, chunk: int = 256) -> Rollout:
+    """Transitions (f(o_t), a_t, f(o_{t+1})) within episodes, never across the end of one.
+
+    Returns:
+        ``features`` (n, d), ``actions`` (n, nu), ``next_features`` (n, d).
+    """
+    every = np.arange(len(data))
+    features = torch.cat([encode(data.stacks(part)) for part in np.array_split(every, len(every) // chunk + 1)])
+    now = torch.from_numpy(data.transitions)
+    return {
+        "features": features[now],
+        "actions": torch.from_numpy(data.actions),
+        "next_features": features[now + 1],
+    }
+
+
+class _Rollouts(IterableDataset):
+    def __init__(self, module: OnPolicyDataModule) -> None:
+        self.module = module
+
+    def __len__(self) -> int:  # with a length, Lightning fetches no batch ahead: rollout k uses policy k
+        return self.module.rollouts
+
+    def __iter__(self) -> Iterator[dict[str, Rollout]]:
+        for _ in range(self.module.rollouts):
+            yield {"agent": self.module.collect(), "target": self.module.target_transitions}
+
+
+class OnPolicyDataModule(L.LightningDataModule):
+    """Feeds GARAT: one batch is one rollout of the current F, and all target transitions.
+
+    Args:
+        collect: rolls the grounded environment out with the current F.
+        target: trajectory files of the target (images and actions).
+        encode: the frozen features f.
+        frame_stack: K.
+        rollouts: length of an epoch.
+    """
+
+    def __init__(
+        self, collect: Callable[[], Rollout], target: Sequence[Path | str], encode: Encode, frame_stack: int, rollouts: int
+    ) -> None:
+        super().__init__()
+        self.collect, self.encode = collect, encode
+        self.target, self.frame_stack, self.rollouts = [str(p) for p in target], frame_stack, rollouts
+
+    def setup(self, stage: str) -> None:
+        self.target_transitions = encode_transitions(FrameStacks(read_all(self.target), self.frame_stack), self.encode)
+
+    def train_dataloader(self) -> DataLoader:
+        return DataLoader(_Rollouts(self), batch_size=None, num_workers=0)

@@ -1,0 +1,87 @@
+"""Experience replay for SAC: a ring of transitions, refilled by acting while learning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import lightning as L
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+Transitions = dict[str, np.ndarray]
+
+
+class ReplayBuffer:
+    """The newest ``capacity`` transitions, as arrays allocated once from the first batch added.
+
+    Args:
+        capacity: transitions kept.
+        seed: of the sampling.
+    """
+
+    def __init__(self, capacity: int, seed: int) -> None:
+        self.capacity, self.size, self._next = capacity, 0, 0
+        self._arrays: Transitions = {}
+        self._rng = np.random.default_rng(seed)
+
+    def add(self, transitions: Transitions) -> None:
+        """Append n transitions; each array has n rows."""
+        if not self._arrays:
+            self._arrays = {k: np.zeros((self.capacity, *v.shape[1:]), v.dtype) for k, v in transitions.items()}
+        n = len(next(iter(transitions.values())))
+        rows = (self._next + np.arange(n)) % self.capacity
+        for name, array in self._arrays.items():
+            array[rows] = transitions[name]
+        self._next = int((self._next + n) % self.capacity)
+        self.size = min(self.size + n, self.capacity)
+
+    def sample(self, *shape: int) -> dict[str, torch.Tensor]:
+        """Uniform with replacement; every tensor has leading dimensions ``shape``."""
+        if self.size == 0:
+            raise ValueError("the replay buffer is empty: act in the environment before sampling")
+        rows = self._rng.integers(self.size, size=shape)
+        return {name: torch.from_numpy(array[rows]) for name, array in self._arrays.items()}
+
+
+class _ActAndSample(IterableDataset):
+    """Each item: act once, then draw the minibatches of the updates that follow."""
+
+    def __init__(self, module: ReplayDataModule) -> None:
+        self.module = module
+
+    def __len__(self) -> int:  # with a length, Lightning fetches no batch ahead, so data are never stale
+        return self.module.batches
+
+    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+        m = self.module
+        for _ in range(m.batches):
+            m.buffer.add(m.act())
+            yield m.buffer.sample(m.updates_per_batch, m.batch_size)
+
+
+class ReplayDataModule(L.LightningDataModule):
+    """Feeds SAC: acting and sampling alternate, one environment step then ``updates_per_batch`` minibatches.
+
+    Args:
+        act: advances the environments by one step and returns their n transitions.
+        buffer: filled with warm-up transitions by whoever made it.
+        batch_size: transitions in a minibatch.
+        updates_per_batch: minibatches in a batch; tensors are (updates_per_batch, batch_size, ...).
+        batches: length of an epoch.
+    """
+
+    def __init__(
+        self,
+        act: Callable[[], Transitions],
+        buffer: ReplayBuffer,
+        batch_size: int,
+        updates_per_batch: int,
+        batches: int,
+    ) -> None:
+        super().__init__()
+        self.act, self.buffer = act, buffer
+        self.batch_size, self.updates_per_batch, self.batches = batch_size, updates_per_batch, batches
+
+    def train_dataloader(self) -> DataLoader:
+        return DataLoader(_ActAndSample(self), batch_size=None, num_workers=0)

@@ -1,0 +1,171 @@
+"""Trajectories and the HDF5 file they live in (Minari's episode layout; see docs/trajectory_file.md)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+
+class TrajectoryFileError(ValueError):
+    """A trajectory file is missing, truncated or not what it should be; the message says which and where."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of T control steps: T actions between T+1 observations.
+
+    Attributes:
+        actions: float32 (T, nu), in the actuators' units, held from t_k to t_{k+1}.
+        observations: name to array with T+1 rows; ``pixels`` is uint8 (T+1, H, W, 3).
+        rewards, terminations, truncations: (T,); the source only, None in the target.
+        timestamps: s, (T+1,); None where sampling is regular.
+        infos: name to array, other measured channels.
+    """
+
+    actions: np.ndarray
+    observations: dict[str, np.ndarray]
+    rewards: np.ndarray | None = None
+    terminations: np.ndarray | None = None
+    truncations: np.ndarray | None = None
+    timestamps: np.ndarray | None = None
+    infos: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        T = len(self.actions)
+        if self.actions.ndim != 2 or T == 0:
+            raise ValueError(f"actions have shape {self.actions.shape}, expected (T, nu) with T >= 1")
+        if not np.isfinite(self.actions).all():
+            raise ValueError("actions hold NaN or infinite values")
+        for name, array in self.observations.items():
+            if len(array) != T + 1:
+                raise ValueError(f"observations/{name} has {len(array)} rows, expected T+1 = {T + 1}")
+        pixels = self.observations.get("pixels")
+        if pixels is not None and (pixels.dtype != np.uint8 or pixels.ndim != 4 or pixels.shape[-1] != 3):
+            raise ValueError(f"observations/pixels is {pixels.dtype} {pixels.shape}, expected uint8 (T+1, H, W, 3)")
+        for name in ("rewards", "terminations", "truncations"):
+            array = getattr(self, name)
+            if array is not None and array.shape != (T,):
+                raise ValueError(f"{name} has shape {array.shape}, expected (T,) = ({T},)")
+        if self.timestamps is not None and (
+            self.timestamps.shape != (T + 1,) or not (np.diff(self.timestamps) > 0).all()
+        ):
+            raise ValueError(f"timestamps must be {T + 1} increasing numbers, got shape {self.timestamps.shape}")
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Episodes recorded at one control period.
+
+    Attributes:
+        episodes: the episodes.
+        dt: control period, s.
+        source: free text, where the data come from.
+    """
+
+    episodes: tuple[Episode, ...]
+    dt: float
+    source: str = ""
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return iter(self.episodes)
+
+    @property
+    def total_steps(self) -> int:
+        """Control steps in all episodes."""
+        return sum(map(len, self.episodes))
+
+    def __add__(self, other: Trajectories) -> Trajectories:
+        return Trajectories(self.episodes + other.episodes, self.dt, self.source)
+
+
+def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
+    """Write a trajectory file: to a temporary name, closed, then renamed. A full disk leaves nothing behind."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w") as f:
+            f.attrs.update(
+                total_episodes=len(trajectories),
+                total_steps=trajectories.total_steps,
+                dt=trajectories.dt,
+                source=trajectories.source,
+            )
+            for i, episode in enumerate(trajectories):
+                _write_episode(f.create_group(f"episode_{i}"), i, episode)
+        os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:  # h5py reports a full disk as either
+        raise OSError(f"could not write {path}: {error}. Nothing was left half-written; free some space and retry.") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_trajectories(path: Path | str) -> Trajectories:
+    """Read and check a trajectory file.
+
+    Raises:
+        TrajectoryFileError: naming the file, the dataset, what was expected and what came.
+    """
+    with open_trajectory_file(path) as f:
+        episodes = tuple(_read_episode(path, f, i) for i in range(int(f.attrs["total_episodes"])))
+        return Trajectories(episodes, float(f.attrs["dt"]), str(f.attrs.get("source", "")))
+
+
+def open_trajectory_file(path: Path | str) -> h5py.File:
+    """Open for reading, with a plain error if it is missing, truncated or foreign."""
+    path = Path(path)
+    if not path.is_file():
+        raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file (HDF5)")
+    try:
+        f = h5py.File(path, "r")
+    except OSError as error:
+        raise TrajectoryFileError(f"{path}: not a readable HDF5 file (truncated or of another kind): {error}") from None
+    if missing := [k for k in ("total_episodes", "total_steps", "dt") if k not in f.attrs]:
+        f.close()
+        raise TrajectoryFileError(
+            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/trajectory_file.md"
+        )
+    return f
+
+
+def _write_episode(group: h5py.Group, i: int, episode: Episode) -> None:
+    group.attrs.update(id=i, total_steps=len(episode))
+    group["actions"] = episode.actions
+    for name, array in episode.observations.items():
+        images = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "compression_opts": 1}
+        group.create_dataset(f"observations/{name}", data=array, **(images if array.ndim == 4 else {}))
+    for name in ("rewards", "terminations", "truncations", "timestamps"):
+        if getattr(episode, name) is not None:
+            group[name] = getattr(episode, name)
+    for name, array in episode.infos.items():
+        group[f"infos/{name}"] = array
+
+
+def _read_episode(path: Path | str, f: h5py.File, i: int) -> Episode:
+    where = f"{path}: episode_{i}"
+    try:
+        group = f[f"episode_{i}"]
+        optional = ("rewards", "terminations", "truncations", "timestamps")
+        return Episode(
+            actions=group["actions"][()],
+            observations={name: data[()] for name, data in group["observations"].items()},
+            **{name: group[name][()] if name in group else None for name in optional},
+            infos={name: data[()] for name, data in group["infos"].items()} if "infos" in group else {},
+        )
+    except KeyError as error:
+        raise TrajectoryFileError(f"{where}: expected a group or dataset that is missing: {error}") from None
+    except OSError as error:
+        raise TrajectoryFileError(f"{where}: could not be read, the file may be truncated: {error}") from None
+    except ValueError as error:
+        raise TrajectoryFileError(f"{where}: {error}") from None

@@ -1,0 +1,93 @@
+"""Unpaired images of two domains, and labelled images of one, from trajectory files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from operator import add
+from pathlib import Path
+
+import lightning as L
+import torch
+from lightning.pytorch.utilities import CombinedLoader
+from torch.utils.data import DataLoader, RandomSampler
+
+from datamodules.stacks import FrameStacks, whole_batch
+from datamodules.trajectories import Trajectories, TrajectoryFileError, read_trajectories
+
+
+def read_all(paths: Sequence[Path | str]) -> Trajectories:
+    """The episodes of several trajectory files, in order; they must have images of one size."""
+    parts = [read_trajectories(p) for p in paths]
+    sizes = {}
+    for path, part in zip(paths, parts, strict=True):
+        for i, episode in enumerate(part):
+            if "pixels" not in episode.observations:
+                raise TrajectoryFileError(f"{path}: episode_{i}/observations/pixels is missing; images are needed here")
+            sizes.setdefault(episode.observations["pixels"].shape[1:], path)
+    if len(sizes) > 1:
+        found = "; ".join(f"{p} has {h}x{w}" for (h, w, _), p in sizes.items())
+        raise TrajectoryFileError(f"images must be of one size, but {found}. Collect again with one --image-size.")
+    return reduce(add, parts)
+
+
+def random_batches(dataset: FrameStacks, batch_size: int, batches: int, seed: int) -> DataLoader:
+    """``batches`` random batches from a dataset, reshuffled at each pass over it, reproducible by ``seed``."""
+    generator = torch.Generator().manual_seed(seed)
+    sampler = RandomSampler(dataset, num_samples=batch_size * batches, generator=generator)
+    return DataLoader(dataset, batch_size, sampler=sampler, collate_fn=whole_batch)
+
+
+class LabelledImages(L.LightningDataModule):
+    """Source frame stacks with their states, to fit the source state predictor P^S.
+
+    Batches: ``pixels`` uint8 (B, K, H, W, 3), ``state`` float32 (B, state_dim).
+    """
+
+    def __init__(self, source: Sequence[Path | str], frame_stack: int, batch_size: int, batches: int, seed: int):
+        super().__init__()
+        self.source, self.seed = [str(p) for p in source], seed
+        self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
+
+    def setup(self, stage: str) -> None:
+        self.data = FrameStacks(read_all(self.source), self.frame_stack, labels="state")
+
+    def train_dataloader(self) -> DataLoader:
+        return random_batches(self.data, self.batch_size, self.batches, self.seed)
+
+
+class UnpairedImages(L.LightningDataModule):
+    """Frame stacks of source (with states) and target (without), each drawn on its own.
+
+    Batches: ``{"source": {"pixels", "state"}, "target": {"pixels"}}``.
+    """
+
+    def __init__(
+        self,
+        source: Sequence[Path | str],
+        target: Sequence[Path | str],
+        frame_stack: int,
+        batch_size: int,
+        batches: int,
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self.source, self.target, self.seed = [str(p) for p in source], [str(p) for p in target], seed
+        self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
+
+    def setup(self, stage: str) -> None:
+        self.source_data = FrameStacks(read_all(self.source), self.frame_stack, labels="state")
+        self.target_data = FrameStacks(read_all(self.target), self.frame_stack)
+        if self.source_data.frames.shape[1:] != self.target_data.frames.shape[1:]:
+            s, t = self.source_data.frames.shape[1:3], self.target_data.frames.shape[1:3]
+            raise TrajectoryFileError(
+                f"source images are {s[0]}x{s[1]} ({self.source[0]}) and target images {t[0]}x{t[1]} "
+                f"({self.target[0]}); they must have one size. Collect again with one --image-size."
+            )
+
+    def train_dataloader(self) -> CombinedLoader:
+        loaders = {
+            "source": random_batches(self.source_data, self.batch_size, self.batches, self.seed),
+            "target": random_batches(self.target_data, self.batch_size, self.batches, self.seed + 1),
+        }
+        return CombinedLoader(loaders, "min_size")

@@ -1,0 +1,8 @@
+"""IDAPT: transfer a visual policy to a target that looks and moves differently."""
+
+import os
+
+# Both must be set before mujoco loads its GL backend, hence here. LP_NUM_THREADS=0 stops the software
+# rasteriser from starting a thread per core, which would fight the learner and is slower for small images.
+os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")

@@ -1,0 +1,222 @@
+"""Effects: named, typed edits of an MJCF model, the one vocabulary for differences between worlds.
+
+An effect says *what* is different (``body_mass``), *where* (``pole``) and *by how much*
+(``mass: 200`` kg). A benchmark's target domain, a randomisation range, a diagnosis and a repaired
+model are all lists of effects. As YAML::
+
+    - effect: body_mass
+      target: pole
+      parameters: {mass: 200.0}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+EFFECTS: dict[str, type[Effect]] = {}
+
+
+def parameter(unit: str, low: float, high: float, **default: Any) -> Any:
+    """Declare one parameter of an effect: its SI unit and its physical bounds (inclusive)."""
+    return field(metadata={"unit": unit, "low": low, "high": high}, **default)
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """One edit of an ``mujoco.MjSpec``; subclasses are registered under ``name``.
+
+    Attributes:
+        target: MJCF name of the element edited, or ``"*"`` for all elements of that kind.
+    """
+
+    name: ClassVar[str] = ""
+    target: str
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if cls.name:
+            EFFECTS[cls.name] = cls
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, list):  # YAML gives lists; a frozen value must be hashable
+                object.__setattr__(self, f.name, tuple(value))
+            if "unit" not in f.metadata or value is None:
+                continue
+            try:
+                numbers = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{self.name} on {self.target!r}: {f.name} must be numeric, got {value!r}") from None
+            low, high, unit = f.metadata["low"], f.metadata["high"], f.metadata["unit"]
+            if not (np.isfinite(numbers).all() and (numbers >= low).all() and (numbers <= high).all()):
+                raise ValueError(
+                    f"{self.name} on {self.target!r}: {f.name} = {value} {unit} is outside [{low}, {high}] {unit}"
+                )
+
+    @abstractmethod
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        """Edit ``spec`` in place. Raises ValueError if the target does not exist."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The YAML/JSON form: ``{effect, target, parameters}`` (unset parameters left out)."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "target"}
+        parameters = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v is not None}
+        return {"effect": self.name, "target": self.target, "parameters": parameters}
+
+
+def effect_from_dict(entry: Mapping[str, Any]) -> Effect:
+    """Build an effect from its YAML form; errors name the key and list what is known."""
+    if not isinstance(entry, Mapping) or "effect" not in entry:
+        raise ValueError(f"an effect needs the keys effect, target, parameters; got {entry!r}")
+    name = entry["effect"]
+    if name not in EFFECTS:
+        raise ValueError(f"unknown effect {name!r}; known effects: {', '.join(sorted(EFFECTS))}")
+    if unknown := set(entry) - {"effect", "target", "parameters"}:
+        raise ValueError(f"effect {name!r}: unknown key {sorted(unknown)}; an effect has effect, target, parameters")
+    try:
+        return EFFECTS[name](target=entry.get("target", "*"), **entry.get("parameters", {}))
+    except TypeError:
+        known = [f.name for f in dataclasses.fields(EFFECTS[name]) if f.name != "target"]
+        raise ValueError(
+            f"effect {name!r}: parameters must be among {known}, got {sorted(entry.get('parameters', {}))}"
+        ) from None
+
+
+def elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
+    """The elements of one kind (``"joints"``, ``"geoms"``, ...) called ``target``, or all for ``"*"``."""
+    everything: Iterable[Any] = getattr(spec, kind)
+    found = [e for e in everything if target in ("*", e.name)]
+    if not found:
+        names = ", ".join(e.name or "<unnamed>" for e in everything)
+        raise ValueError(f"the model has no {kind[:-1]} named {target!r}; it has: {names or 'none'}")
+    return found
+
+
+@dataclass(frozen=True)
+class BodyMass(Effect):
+    """Mass of a body. Its inertia scales along: the shape and density profile stay the same."""
+
+    name: ClassVar[str] = "body_mass"
+    mass: float = parameter("kg", 1e-6, 1e6)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        model = spec.copy().compile()
+        for body in elements(spec, "bodies", self.target):
+            now = float(model.body(body.name).mass[0])
+            if now == 0.0:
+                if self.target == "*":
+                    continue
+                raise ValueError(f"body_mass: body {body.name!r} has no mass to scale")
+            ratio = self.mass / now
+            if body.explicitinertial:
+                body.mass *= ratio
+                body.inertia = np.asarray(body.inertia) * ratio
+                body.fullinertia = np.asarray(body.fullinertia) * ratio
+            for geom in body.geoms:
+                geom.density *= ratio
+                geom.mass *= ratio  # NaN (mass from density) stays NaN
+
+
+@dataclass(frozen=True)
+class _JointEffect(Effect):
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for joint in elements(spec, "joints", self.target):
+            self.edit(joint)
+
+    def edit(self, joint: Any) -> None:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class JointDamping(_JointEffect):
+    """Linear joint damping."""
+
+    name: ClassVar[str] = "joint_damping"
+    damping: float = parameter("N·m·s/rad or N·s/m", 0.0, 1e6)
+
+    def edit(self, joint: Any) -> None:
+        joint.damping[0] = self.damping  # [1:] are the polynomial terms
+
+
+@dataclass(frozen=True)
+class JointFrictionloss(_JointEffect):
+    """Dry friction of a joint (MuJoCo's soft constraint)."""
+
+    name: ClassVar[str] = "joint_frictionloss"
+    frictionloss: float = parameter("N·m or N", 0.0, 1e6)
+
+    def edit(self, joint: Any) -> None:
+        joint.frictionloss = self.frictionloss
+
+
+@dataclass(frozen=True)
+class JointArmature(_JointEffect):
+    """Rotor inertia reflected to the joint."""
+
+    name: ClassVar[str] = "joint_armature"
+    armature: float = parameter("kg·m² or kg", 0.0, 1e6)
+
+    def edit(self, joint: Any) -> None:
+        joint.armature = self.armature
+
+
+@dataclass(frozen=True)
+class ActuatorGain(Effect):
+    """Scales what a command does: 1 is nominal, 0.8 is a motor that has lost a fifth."""
+
+    name: ClassVar[str] = "actuator_gain"
+    gain: float = parameter("1", 0.0, 1e3)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.gainprm[0] *= self.gain
+
+
+@dataclass(frozen=True)
+class ContactFriction(Effect):
+    """Sliding friction coefficient of a geom."""
+
+    name: ClassVar[str] = "contact_friction"
+    sliding: float = parameter("1", 0.0, 1e2)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for geom in elements(spec, "geoms", self.target):
+            geom.friction[0] = self.sliding
+
+
+@dataclass(frozen=True)
+class GravityDirection(Effect):
+    """Gravity turned away from straight down: the base stands on a slope. Target is ``"world"``."""
+
+    name: ClassVar[str] = "gravity_direction"
+    tilt_x: float = parameter("rad", -np.pi, np.pi)
+    tilt_y: float = parameter("rad", -np.pi, np.pi)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        g = np.linalg.norm(spec.option.gravity)
+        sx, cx, sy, cy = np.sin(self.tilt_x), np.cos(self.tilt_x), np.sin(self.tilt_y), np.cos(self.tilt_y)
+        spec.option.gravity = g * np.array([-sy * cx, sx, -cx * cy])
+
+
+@dataclass(frozen=True)
+class Numerics(Effect):
+    """Time step and integrator of the simulation itself. Target is ``"world"``."""
+
+    name: ClassVar[str] = "numerics"
+    timestep: float = parameter("s", 1e-6, 1.0)
+    integrator: str = "Euler"
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        kinds = {k: f"mjINT_{k.upper()}" for k in ("Euler", "RK4", "implicit", "implicitfast")}
+        if self.integrator not in kinds:
+            raise ValueError(f"numerics: integrator must be one of {', '.join(kinds)}, got {self.integrator!r}")
+        spec.option.timestep = self.timestep
+        spec.option.integrator = getattr(mujoco.mjtIntegrator, kinds[self.integrator])

@@ -1,0 +1,111 @@
+"""Visual effects: what changes an image and leaves the motion alone."""
+
+from __future__ import annotations
+
+import importlib.resources
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from idapt_pl.domains.effects import Effect, elements, parameter
+
+CAMERA = "view"
+"""Name of the camera that every task defines and every image is taken with."""
+
+
+def orbit_axes(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Viewing direction and camera x/y axes of MuJoCo's free camera, angles in degrees.
+
+    Returns:
+        forward: unit vector from the camera to what it looks at, shape (3,).
+        xyaxes: camera x axis (right) and y axis (up) in the world, shape (6,).
+    """
+    az, el = np.deg2rad(azimuth), np.deg2rad(elevation)
+    forward = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
+    right = np.array([np.sin(az), -np.cos(az), 0.0])
+    return forward, np.concatenate([right, np.cross(right, forward)])
+
+
+@dataclass(frozen=True)
+class CameraPose(Effect):
+    """Where the camera stands: an orbit around ``lookat`` as in MuJoCo's viewer."""
+
+    name: ClassVar[str] = "camera_pose"
+    azimuth: float = parameter("deg", -360.0, 360.0)
+    elevation: float = parameter("deg", -90.0, 90.0)
+    distance: float = parameter("m", 1e-3, 1e3)
+    lookat: tuple[float, float, float] = parameter("m", -1e3, 1e3)
+    fovy: float = 45.0
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        forward, xyaxes = orbit_axes(self.azimuth, self.elevation)
+        for camera in elements(spec, "cameras", self.target):
+            camera.pos = np.asarray(self.lookat) - self.distance * forward
+            camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+            camera.alt.xyaxes = xyaxes
+            camera.fovy = self.fovy
+
+
+@dataclass(frozen=True)
+class Light(Effect):
+    """Light colours. Target ``"headlight"`` is the light at the camera; any other name is a lamp.
+
+    A lamp that the model lacks is added, at ``position``, shining straight down.
+    """
+
+    name: ClassVar[str] = "light"
+    diffuse: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    ambient: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    specular: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    position: tuple[float, float, float] | None = None
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        light: Any = spec.visual.headlight if self.target == "headlight" else self._lamp(spec)
+        for channel in ("diffuse", "ambient", "specular"):
+            if getattr(self, channel) is not None:
+                setattr(light, channel, getattr(self, channel))
+
+    def _lamp(self, spec: mujoco.MjSpec) -> Any:
+        lamp = spec.light(self.target) or spec.worldbody.add_light(name=self.target, dir=[0, 0, -1])
+        if self.position is not None:
+            lamp.pos = self.position
+        return lamp
+
+
+@dataclass(frozen=True)
+class Color(Effect):
+    """Colour of a geom."""
+
+    name: ClassVar[str] = "color"
+    rgba: tuple[float, float, float, float] = parameter("1", 0.0, 1.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for geom in elements(spec, "geoms", self.target):
+            geom.material = ""
+            geom.rgba = self.rgba
+
+
+@dataclass(frozen=True)
+class Texture(Effect):
+    """What is painted on the sky: one flat colour, or a dm_control skybox. Target is ``"sky"``."""
+
+    name: ClassVar[str] = "texture"
+    flat: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    dm_control: str | None = None  # file in dm_control/suite/common, for example skybox.xml
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.target != "sky":
+            raise ValueError(f"texture: target must be 'sky', got {self.target!r}")
+        for old in [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]:
+            spec.delete(old)
+        if self.dm_control is not None:
+            common = importlib.resources.files("dm_control") / "suite" / "common" / self.dm_control
+            sky = mujoco.MjSpec.from_string(common.read_text()).textures[0]
+            settings = {k: getattr(sky, k) for k in ("builtin", "rgb1", "rgb2", "mark", "markrgb", "random")}
+        else:
+            settings = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT, "rgb1": self.flat, "rgb2": self.flat}
+        spec.add_texture(
+            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings
+        )

@@ -1,0 +1,7 @@
+"""Image environments: a domain, the target as training may see it, and the grounded source."""
+
+from idapt_pl.envs.grounded_env import GroundedEnv
+from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.envs.target_env import BlindTarget
+
+__all__ = ["BlindTarget", "GroundedEnv", "VectorImageEnv"]

@@ -1,0 +1,106 @@
+"""A task in a domain as a vectorised Gymnasium environment with image observations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from idapt_pl.domains import Domain
+from idapt_pl.domains.rendering import FrameRenderer
+from idapt_pl.tasks import Task
+
+
+class VectorImageEnv(gymnasium.vector.VectorEnv):
+    """``num_envs`` simulations of one domain, stepped together and seen by one renderer.
+
+    Observations: ``pixels`` uint8 (n, K, H, W, 3), the last K frames, oldest first; ``state`` float32
+    (n, state_dim). Actions: float32 (n, nu) in the actuators' units, clipped to ``ctrlrange``.
+    A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``.
+
+    Args:
+        task: the task.
+        domain: the world it is played in.
+        num_envs: number of simulations.
+        image_size: height and width of a frame, pixels.
+        frame_stack: K.
+    """
+
+    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, image_size: int = 64, frame_stack: int = 3):
+        self.task, self.domain, self.num_envs = task, domain, num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.model = domain.compile()
+        self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
+        self._render = FrameRenderer(self.model, image_size)
+        self._rng = np.random.default_rng()
+        self._elapsed = np.zeros(num_envs, dtype=int)
+        self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
+
+        low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
+        self.single_action_space = gymnasium.spaces.Box(low, high)
+        state_dim = len(task.state(self.model, self.data[0]))
+        self.single_observation_space = gymnasium.spaces.Dict(
+            {
+                "pixels": gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8),
+                "state": gymnasium.spaces.Box(-np.inf, np.inf, (state_dim,), np.float32),
+            }
+        )
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    @property
+    def dt(self) -> float:
+        """Control period, s."""
+        return self.model.opt.timestep * self.task.frame_skip
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        for i in range(self.num_envs):
+            self._reset_one(i)
+        return self._observe(), {}
+
+    def step(self, actions: np.ndarray):
+        actions = np.clip(actions, self.action_space.low, self.action_space.high)
+        rewards = np.zeros(self.num_envs)
+        terminations = np.zeros(self.num_envs, bool)
+        for i, data in enumerate(self.data):
+            data.ctrl[:] = actions[i]
+            mujoco.mj_step(self.model, data, self.task.frame_skip)
+            rewards[i], terminations[i] = self.task.outcome(self.model, data, actions[i])
+            self._frames[i, :-1] = self._frames[i, 1:]
+            self._render(data, out=self._frames[i, -1])
+        self._elapsed += 1
+        truncations = (self._elapsed >= self.task.horizon) & ~terminations
+        done = terminations | truncations
+        infos: dict[str, Any] = {}
+        if done.any():
+            infos = {"final_obs": self._observe(), "_final_obs": done}
+            for i in np.flatnonzero(done):
+                self._reset_one(i)
+        return self._observe(), rewards, terminations, truncations, infos
+
+    def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""
+        self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
+        mujoco.mj_forward(self.model, self.data[i])
+        self._render(self.data[i], out=self._frames[i, -1])
+        return self._frames[i, -1].copy()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        self._render.close()
+
+    def _reset_one(self, i: int) -> None:
+        mujoco.mj_resetData(self.model, self.data[i])
+        self.task.reset(self.model, self.data[i], self._rng)
+        mujoco.mj_forward(self.model, self.data[i])
+        self._elapsed[i] = 0
+        self._frames[i] = self._render(self.data[i])
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        states = [self.task.state(self.model, data) for data in self.data]
+        return {"pixels": self._frames.copy(), "state": np.asarray(states, np.float32)}

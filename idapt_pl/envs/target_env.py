@@ -1,0 +1,36 @@
+"""The target as training may see it: images, actions, nothing else; and every interaction counted."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+
+from idapt_pl.ledger import Ledger
+
+
+class BlindTarget(gymnasium.vector.VectorWrapper):
+    """Hides the target's state and reward, and enters every step in the ledger.
+
+    Rewards are NaN, so anything trained on them breaks visibly. That an episode has ended is visible, as
+    it is on a robot that fell over; why it ended is not: every end is reported as a truncation.
+    """
+
+    def __init__(self, env, ledger: Ledger, step: int, purpose: str) -> None:
+        super().__init__(env)
+        self._entry = (ledger, step, purpose)
+        self.single_observation_space = gymnasium.spaces.Dict({"pixels": env.single_observation_space["pixels"]})
+        self.observation_space = gymnasium.spaces.Dict({"pixels": env.observation_space["pixels"]})
+
+    def reset(self, **kwargs):
+        obs, _ = self.env.reset(**kwargs)
+        return {"pixels": obs["pixels"]}, {}
+
+    def step(self, actions: np.ndarray):
+        obs, _, terminations, truncations, infos = self.env.step(actions)
+        ledger, step, purpose = self._entry
+        ledger.count(step, purpose, self.num_envs)
+        seen = {}
+        if "final_obs" in infos:
+            seen = {"final_obs": {"pixels": infos["final_obs"]["pixels"]}, "_final_obs": infos["_final_obs"]}
+        ended = terminations | truncations
+        return {"pixels": obs["pixels"]}, np.full(self.num_envs, np.nan), np.zeros_like(ended), ended, seen

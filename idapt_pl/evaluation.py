@@ -1,0 +1,203 @@
+"""What a run reports: returns in the target, residuals, translation errors. Nothing here trains or selects."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules.on_policy import encode_transitions
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+from idapt_pl.files import write_json
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.rollout import Act, collect, evaluate
+from idapt_pl.stage import Stages
+from idapt_pl.worlds import Worlds
+
+log = logging.getLogger(__name__)
+
+
+class Evaluation:
+    """Measures after each grounding step and writes ``RUN/step_<k>/evaluation.json`` and ``summary.json``.
+
+    Args:
+        worlds: of the run.
+        stages: of the run.
+        episodes: episodes for each return.
+        target_name: for the summary.
+    """
+
+    def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str) -> None:
+        self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
+
+    def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
+        """Return of a policy in the target, acting with its mean."""
+        env = self.worlds.rewarded_target(min(self.episodes, 25))
+        with closing(env):
+            result = evaluate(env, deterministic(policy), self.episodes, seed)
+        return {"mean": result.mean, "std": result.std, "returns": list(result.returns), "interactions": result.interactions}
+
+    def direct_transfer(self, policy: AsymmetricSAC) -> dict:
+        """The source policy, as it is, in the target."""
+        result = self.stages.measure(0, "direct_transfer", lambda seed: self.target_return(policy, seed))
+        self.worlds.ledger.enter(0, "evaluation of direct transfer", result["interactions"])
+        log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
+        return result
+
+    def report(
+        self,
+        step: int,
+        policy: AsymmetricSAC,
+        G: VisualTransformation,
+        F: ActionTransformation | None,
+        P_S: StatePredictor,
+        target: Sequence[Path],
+        policy_before: AsymmetricSAC | None = None,
+    ) -> dict:
+        """Everything measured after one grounding step."""
+
+        def make(seed: int) -> dict:
+            with closing(self.worlds.grounded(min(self.episodes, 10), G, F)) as env:
+                grounded = evaluate(env, deterministic(policy), 10, seed)
+            result = {
+                "target": self.target_return(policy, seed),
+                "grounded": {"mean": grounded.mean, "std": grounded.std},
+                "translation": paired_errors(self.worlds, policy, G, P_S, 300, seed),
+            }
+            if F is not None and policy_before is not None:
+                result["residual"] = residual(self.worlds, policy_before, G, F, target, seed)
+            return result
+
+        result = self.stages.measure(step, "evaluation", make)
+        self.worlds.ledger.enter(step, "evaluation", result["target"]["interactions"])
+        log.info(
+            "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
+            step, result["target"]["mean"], result["target"]["std"], result["grounded"]["mean"],
+            result.get("residual", "-"), result["translation"],
+        )
+        return result
+
+    def summary(self, steps: int) -> dict:
+        """Write and return ``summary.json``."""
+        def read(step: int, name: str) -> dict | None:
+            path = self.stages.folder(step) / f"{name}.json"
+            return json.loads(path.read_text()) if path.exists() else None
+
+        evaluations = [read(k, "evaluation") for k in range(steps + 1)]
+        oracle = read(0, "oracle_evaluation")
+        stages = self.stages.timings()
+        summary = {
+            "task": self.worlds.task.name,
+            "target": self.target_name,
+            "seed": self.stages.seed,
+            "metric": self.worlds.task.metric,
+            "episodes": self.episodes,
+            "direct_transfer": read(0, "direct_transfer")["mean"],
+            "oracle": oracle["mean"] if oracle else None,
+            "visual_only": evaluations[0]["target"]["mean"],
+            "grounded": [e["target"]["mean"] for e in evaluations[1:]],
+            "target_interactions": self.worlds.ledger.training_total,
+            "wall_s": round(sum(s["wall_s"] for s in stages), 1),
+            "stages": stages,
+        }
+        write_json(self.stages.run_dir / "summary.json", summary)
+        return summary
+
+
+def deterministic(policy: AsymmetricSAC) -> Act:
+    """The policy acting with its mean."""
+    return lambda pixels: policy.act(pixels, deterministic=True)
+
+
+def energy_distance(x: torch.Tensor, y: torch.Tensor) -> float:
+    """2 E|X-Y| - E|X-X'| - E|Y-Y'|, zero iff the distributions agree (Székely & Rizzo 2013, eq. 2)."""
+    def within(z: torch.Tensor) -> float:
+        return float(torch.cdist(z, z).sum() / (len(z) * (len(z) - 1)))
+
+    return 2 * float(torch.cdist(x, y).mean()) - within(x) - within(y)
+
+
+def residual(
+    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation, target: Sequence[Path], seed: int
+) -> dict[str, float]:
+    """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
+
+    Energy distance on standardised features. The floor is that between the two halves of the target's
+    episodes: what sampling alone gives. The target's images and actions are all it uses.
+    """
+    def features(stacks: FrameStacks) -> torch.Tensor:
+        return F.transition_input(encode_transitions(stacks, F.encode))
+
+    def grounded(transform: ActionTransformation | None, steps: int) -> torch.Tensor:
+        with closing(worlds.grounded(1, G, transform)) as env:
+            return features(FrameStacks(collect(env, policy.act, steps, seed, ""), worlds.frame_stack))
+
+    trajectories = read_all(target)
+    real = features(FrameStacks(trajectories, worlds.frame_stack))
+    lengths = np.array([len(e) for e in trajectories])
+    first_half = np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
+    floor = energy_distance(real[first_half], real[~first_half]) if 0 < first_half.sum() < len(real) else float("nan")
+    return {
+        "before": round(energy_distance(grounded(None, len(real)), real), 4),
+        "after": round(energy_distance(grounded(F, len(real)), real), 4),
+        "noise_floor": round(floor, 4),
+    }
+
+
+@torch.no_grad()
+def paired_errors(
+    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, P_S: StatePredictor, steps: int, seed: int
+) -> dict:
+    """Errors with source and target put into the same states (evaluation only).
+
+    Returns:
+        ``psnr`` of G(o^S) against the target's image, dB; mean absolute state errors, one for each
+        component: ``state_source`` P^S(o^S), ``state_translated`` P^T(G(o^S)), ``state_target`` P^T(o^T).
+    """
+    source, target, states = paired_stacks(worlds, policy, G, steps, seed)
+    n, k = source.shape[:2]
+    frames = source if G.frames > 1 else source.reshape(n * k, 1, *source.shape[2:])
+    fake = np.concatenate([G.translate(part) for part in np.array_split(frames, len(frames) // 64 + 1)]).reshape(source.shape)
+    error = np.square(fake[:, -1].astype(float) - target[:, -1]).mean()
+
+    def mae(predictor: torch.nn.Module, pixels: np.ndarray) -> list[float]:
+        predicted = predictor.predict(torch.from_numpy(pixels)).numpy()
+        return [round(float(v), 4) for v in np.abs(predicted - states).mean(0)]
+
+    result = {"psnr": round(float(10 * np.log10(255**2 / max(error, 1e-9))), 2), "state_source": mae(P_S.P_S, source)}
+    if G.P_T is not None:
+        result |= {"state_translated": mae(G.P_T, fake), "state_target": mae(G.P_T, target)}
+    return result
+
+
+def paired_stacks(
+    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, steps: int, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Source and target frame stacks of the same states, along a grounded rollout of ``policy``.
+
+    Returns:
+        source (n, K, H, W, 3), target (n, K, H, W, 3), states (n, state_dim).
+    """
+    env, twin = worlds.grounded(1, G), worlds.rewarded_target(1)
+    obs, _ = env.reset(seed=seed)
+    data = env.unwrapped.data[0]
+    sources, targets, states, history = [], [], [], []
+    fresh = True
+    for _ in range(steps):
+        frame = twin.set_state(0, data.qpos, data.qvel)
+        history = [frame] * worlds.frame_stack if fresh else [*history[1:], frame]
+        sources.append(obs["source_pixels"][0])
+        targets.append(np.stack(history))
+        states.append(obs["state"][0])
+        obs, _, terminations, truncations, _ = env.step(policy.act(obs["pixels"]))
+        fresh = bool(terminations[0] or truncations[0])
+    env.close()
+    twin.close()
+    return np.stack(sources), np.stack(targets), np.stack(states)

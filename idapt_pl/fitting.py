@@ -1,0 +1,172 @@
+"""How each module is built, fed and fitted: the stages that Algorithm 1 is made of."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.rollout import VectorEnv, garat_rollout, random_policy, transition_feeder
+from idapt_pl.stage import Stages
+from idapt_pl.worlds import Worlds
+
+
+@dataclass(frozen=True)
+class Factories:
+    """Constructors of the modules with everything set but what the task and data determine."""
+
+    state_predictor: Callable[..., StatePredictor]
+    visual: Callable[..., VisualTransformation]
+    dynamics: Callable[..., ActionTransformation]
+    policy: Callable[..., AsymmetricSAC]
+
+
+@dataclass(frozen=True)
+class Feeding:
+    """How data reach the modules.
+
+    Args:
+        state_predictor_batch: frame stacks in a batch of the state predictor.
+        visual_batch: frame stacks of either domain in a batch of the visual transformation.
+        num_envs: simulations that SAC acts in side by side.
+        updates_per_step: SAC critic updates for each environment step.
+        policy_batch: transitions in a SAC minibatch.
+        buffer_size: transitions kept for SAC.
+        warmup_steps: environment steps before SAC's first update (random actions for a new policy).
+        garat_envs: simulations that GARAT rolls out side by side.
+        garat_rollout: environment steps in one GARAT rollout, over all simulations.
+        garat_features: what F and D see: the policy's features f_pi (the paper) or P^T's state estimate.
+    """
+
+    state_predictor_batch: int = 32
+    visual_batch: int = 1
+    num_envs: int = 1
+    updates_per_step: int = 1
+    policy_batch: int = 32
+    buffer_size: int = 10_000
+    warmup_steps: int = 1000
+    garat_envs: int = 10
+    garat_rollout: int = 5000
+    garat_features: Literal["policy", "state"] = "policy"
+
+
+class Fitting:
+    """One method for each kind of stage; data come in and a fitted module goes out."""
+
+    def __init__(self, worlds: Worlds, stages: Stages, make: Factories, feeding: Feeding) -> None:
+        self.worlds, self.stages, self.make, self.feeding = worlds, stages, make, feeding
+
+    def state_predictor(
+        self, step: int, source: Sequence[Path], batches: int, initial: StatePredictor | None
+    ) -> StatePredictor:
+        """P^S on labelled source images, from scratch or continued from ``initial``."""
+
+        def feed(module: StatePredictor, seed: int, device: torch.device) -> LabelledImages:
+            return LabelledImages(source, self.worlds.frame_stack, self.feeding.state_predictor_batch, batches, seed)
+
+        build = continued(lambda: self.make.state_predictor(**self.worlds.dimensions), initial)
+        return self.stages.fit(step, "state_predictor", build, feed, batches)
+
+    def visual(
+        self,
+        step: int,
+        source: Sequence[Path],
+        target: Sequence[Path],
+        batches: int,
+        P_S: StatePredictor,
+        initial: VisualTransformation | None,
+    ) -> VisualTransformation:
+        """G with P^T on unpaired images; P^T starts as a copy of P^S."""
+
+        def build() -> VisualTransformation:
+            module = continued(lambda: self.make.visual(**self.worlds.dimensions), initial)()
+            module.adopt(P_S.P_S)
+            return module
+
+        def feed(module: VisualTransformation, seed: int, device: torch.device) -> UnpairedImages:
+            stack, size = self.worlds.frame_stack, self.feeding.visual_batch
+            return UnpairedImages(source, target, stack, size, batches, seed)
+
+        return self.stages.fit(step, "visual", build, feed, batches)
+
+    def dynamics(
+        self,
+        step: int,
+        target: Sequence[Path],
+        rollouts: int,
+        policy: AsymmetricSAC,
+        G: VisualTransformation,
+        initial: ActionTransformation | None,
+    ) -> ActionTransformation:
+        """F with GARAT: grounded rollouts of ``policy`` against the target's transitions."""
+        features = policy.actor.encoder if self.feeding.garat_features == "policy" else G.P_T
+
+        def build() -> ActionTransformation:
+            module = self.make.dynamics(encoder=copy.deepcopy(features), **self.worlds.action_bounds)
+            if initial is not None:  # F continues, on the newest features
+                kept = {k: v for k, v in initial.state_dict().items() if not k.startswith("encoder.")}
+                module.load_state_dict(kept, strict=False)
+            return module
+
+        def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
+            n = self.feeding.garat_envs
+            env = self.worlds.grounded(n, G.to(device))
+            roll = garat_rollout(env, policy.to(device).act, F, self.feeding.garat_rollout // n, seed)
+            return OnPolicyDataModule(roll, target, F.encode, self.worlds.frame_stack, rollouts)
+
+        return self.stages.fit(step, "dynamics", build, feed, rollouts)
+
+    def policy(
+        self, step: int, name: str, make_env: Callable[[torch.device], VectorEnv], steps: int, initial: AsymmetricSAC | None
+    ) -> AsymmetricSAC:
+        """π by SAC in an environment, from scratch or continued from ``initial``."""
+        f = self.feeding
+
+        def feed(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
+            env = make_env(device)
+            buffer = ReplayBuffer(min(f.buffer_size, f.warmup_steps + steps), seed)
+            warm_up = transition_feeder(env, random_policy(env, seed) if initial is None else module.act, seed)
+            for _ in range(int(np.ceil(f.warmup_steps / f.num_envs))):
+                buffer.add(warm_up())
+            act = transition_feeder(env, module.act, seed + 1)
+            return ReplayDataModule(act, buffer, f.policy_batch, f.updates_per_step * f.num_envs, steps // f.num_envs)
+
+        dimensions = self.worlds.dimensions | self.worlds.action_bounds
+        build = continued(lambda: self.make.policy(**dimensions), initial)
+        return self.stages.fit(step, name, build, feed, steps // f.num_envs)
+
+    def grounded_policy(
+        self,
+        step: int,
+        steps: int,
+        G: VisualTransformation | None,
+        F: ActionTransformation | None,
+        initial: AsymmetricSAC | None,
+        name: str = "policy",
+    ) -> AsymmetricSAC:
+        """π by SAC in the source seen through G and moved through F."""
+
+        def make_env(device: torch.device) -> VectorEnv:
+            helpers = [m.to(device) if m is not None else None for m in (G, F)]
+            return self.worlds.grounded(self.feeding.num_envs, *helpers)
+
+        return self.policy(step, name, make_env, steps, initial)
+
+
+def continued(build: Callable[[], torch.nn.Module], initial: torch.nn.Module | None) -> Callable:
+    """A builder whose module starts with the weights of ``initial`` (fresh optimizers, by design)."""
+
+    def build_continued() -> torch.nn.Module:
+        module = build()
+        if initial is not None:
+            module.load_state_dict(initial.state_dict())
+        return module
+
+    return build_continued

@@ -1,0 +1,132 @@
+"""Algorithm 1: iterative domain alignment for policy transfer."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from idapt_pl.evaluation import Evaluation
+from idapt_pl.fitting import Fitting
+from idapt_pl.rollout import collect, random_policy
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How long the stages of one grounding step train.
+
+    Args:
+        state_predictor: batches for P^S.
+        visual: batches for G and P^T.
+        dynamics: GARAT rollouts for F.
+        policy: environment steps for the policy.
+    """
+
+    state_predictor: int
+    visual: int
+    policy: int
+    dynamics: int = 0
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What Algorithm 1 does, and for how long.
+
+    Args:
+        grounding_steps: N.
+        images: control steps in each of the task-agnostic datasets.
+        interactions: control steps taken in the target in each grounding step.
+        source_policy: environment steps in the plain source, for the policy everything starts from; it is
+            also the reference for direct transfer.
+        pretrain: stages before the first grounding step.
+        finetune: stages of every grounding step.
+        action_transformation: learn F; without it only the images are grounded (an ablation).
+        accumulate: train P^S, G and F on all data so far; else P^S and G on the newest data only.
+    """
+
+    grounding_steps: int = 5
+    images: int = 20_000
+    interactions: int = 1000
+    source_policy: int = 10_000
+    pretrain: Lengths = field(default_factory=lambda: Lengths(25_000, 100_000, 10_000))
+    finetune: Lengths = field(default_factory=lambda: Lengths(625, 5000, 10_000, 10))
+    action_transformation: bool = True
+    accumulate: bool = False
+
+
+class IterativeGrounding:
+    """IDAPT. Input: datasets D^S, D^T; output: a policy for the target and the grounding it learned in.
+
+    The order is that of the authors' code, in which every F that is learned is used: the policy trains
+    at the end of a grounding step, not at its beginning.
+    """
+
+    def __init__(self, fit: Fitting, evaluation: Evaluation, schedule: Schedule) -> None:
+        self.fit, self.evaluation, self.schedule = fit, evaluation, schedule
+        self.worlds, self.stages = fit.worlds, fit.stages
+
+    def run(self) -> dict:
+        """Run Algorithm 1, or what is left of it. Returns the summary (see ``summary.json``)."""
+        pretrain, finetune = self.schedule.pretrain, self.schedule.finetune
+
+        D_S, D_T = [self.explore_source()], [self.explore_target()]
+        pi = self.fit.grounded_policy(0, self.schedule.source_policy, None, None, None, "source_policy")
+        self.evaluation.direct_transfer(pi)
+
+        P_S = self.fit.state_predictor(0, D_S, pretrain.state_predictor, None)
+        G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
+        F = None  # the identity
+        pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
+        self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
+
+        for k in range(1, self.schedule.grounding_steps + 1):
+            D_T.append(self.roll_out_target(k, pi))
+            D_S.append(self.roll_out_grounded(k, pi, G, F))
+            P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
+            G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
+            if self.schedule.action_transformation:
+                F = self.fit.dynamics(k, self.under_policy(D_T), finetune.dynamics, pi, G, F)
+            pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)
+            self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)
+
+        return self.evaluation.summary(self.schedule.grounding_steps)
+
+    def explore_source(self) -> Path:
+        """D^S: task-agnostic images and states of the source, from random actions."""
+        return self._record_source(0, lambda seed: random_policy(self.worlds.source(1), seed), None, None, self.schedule.images)
+
+    def explore_target(self) -> Path:
+        """D^T: task-agnostic images of the target, from random actions."""
+        return self._record_target(0, lambda seed: random_policy(self.worlds.source(1), seed), self.schedule.images)
+
+    def roll_out_target(self, k: int, pi) -> Path:
+        """D^T_online: the current policy in the target."""
+        return self._record_target(k, lambda seed: pi.act, self.schedule.interactions)
+
+    def roll_out_grounded(self, k: int, pi, G, F) -> Path:
+        """D^S_online: the current policy in the grounded source; source images and states are kept."""
+        return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
+
+    def recent(self, data: list[Path]) -> list[Path]:
+        """The data that a grounding step trains P^S and G on."""
+        return data if self.schedule.accumulate else data[-1:]
+
+    def under_policy(self, data: list[Path]) -> list[Path]:
+        """The target data for GARAT: under the current policy, and earlier policies if accumulated."""
+        return data[1:] if self.schedule.accumulate else data[-1:]
+
+    def _record_target(self, k: int, policy, steps: int) -> Path:
+        def make(seed: int):
+            with closing(self.worlds.blind_target(k)) as env:
+                return collect(env, policy(seed), steps, seed, f"{self.worlds.task.name} target, step {k}")
+
+        path, taken = self.stages.record(k, "target", make)
+        self.worlds.ledger.enter(k, "training", taken)
+        return path
+
+    def _record_source(self, k: int, policy, G, F, steps: int) -> Path:
+        def make(seed: int):
+            env = self.worlds.grounded(1, G, F)
+            return collect(env, policy(seed), steps, seed, f"{self.worlds.task.name} source, step {k}", "source_pixels")
+
+        return self.stages.record(k, "source", make)[0]

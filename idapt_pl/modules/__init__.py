@@ -1,0 +1,8 @@
+"""The LightningModules: one for each thing that is learned."""
+
+from idapt_pl.modules.dynamics import ActionTransformation
+from idapt_pl.modules.policy import AsymmetricSAC
+from idapt_pl.modules.state_predictor import StatePredictor
+from idapt_pl.modules.visual import VisualTransformation
+
+__all__ = ["ActionTransformation", "AsymmetricSAC", "StatePredictor", "VisualTransformation"]

@@ -1,0 +1,37 @@
+"""What the LightningModules share: one descent step, mixed precision, the run's x axis."""
+
+from __future__ import annotations
+
+import lightning as L
+import torch
+from torch import Tensor
+
+
+class ManualModule(L.LightningModule):
+    """A module that steps its own optimizers (several nets trained in turn).
+
+    Metrics are logged against ``step`` rather than Lightning's ``global_step``, which counts every
+    optimizer's steps together.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+
+    def descend(self, optimizer: torch.optim.Optimizer, loss: Tensor, clip: float | None = None) -> None:
+        """Zero gradients, backpropagate, clip the norm if asked to, step."""
+        optimizer.zero_grad(set_to_none=True)
+        self.manual_backward(loss)
+        if clip is not None:
+            self.clip_gradients(optimizer, gradient_clip_val=clip, gradient_clip_algorithm="norm")
+        optimizer.step()
+
+    def log_at(self, step: float, metrics: dict[str, Tensor | float]) -> None:
+        """Log scalars with ``step`` as the x axis."""
+        self.log_dict({k: float(v) for k, v in metrics.items()}, prog_bar=False)
+        self.log("step", float(step), prog_bar=False)
+
+
+def fast_precision(device: torch.device, enabled: bool) -> torch.autocast:
+    """bfloat16 autocast for convolutions; the nets return float32."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=enabled)

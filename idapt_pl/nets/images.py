@@ -1,0 +1,39 @@
+"""Between images as they are kept (uint8, channels last) and as nets take them (float, channels first)."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+
+def to_float(pixels: UInt8[Tensor, "... h w c"]) -> Float[Tensor, "... c h w"]:
+    """0..255 to -1..1, channels first. The only place where pixels become floats."""
+    return pixels.movedim(-1, -3).float().div_(127.5).sub_(1.0)
+
+
+def to_pixels(images: Float[Tensor, "... c h w"]) -> UInt8[Tensor, "... h w c"]:
+    """-1..1 to 0..255 with rounding, channels last; the inverse of :func:`to_float`."""
+    return images.float().add(1.0).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(-3, -1)
+
+
+def center_crop(images: Float[Tensor, "*b c h w"], size: int) -> Float[Tensor, "*b c size size"]:
+    """The middle ``size`` x ``size`` pixels."""
+    top, left = (images.shape[-2] - size) // 2, (images.shape[-1] - size) // 2
+    return images[..., top : top + size, left : left + size]
+
+
+def random_crop(images: Float[Tensor, "b c h w"], size: int) -> Float[Tensor, "b c size size"]:
+    """A random ``size`` x ``size`` window, drawn for each image of the batch."""
+    b, _, h, w = images.shape
+    top = torch.randint(h - size + 1, (b, 1, 1), device=images.device)
+    left = torch.randint(w - size + 1, (b, 1, 1), device=images.device)
+    rows = (top + torch.arange(size, device=images.device)[None, :, None]).expand(b, size, size)
+    cols = (left + torch.arange(size, device=images.device)[None, None, :]).expand(b, size, size)
+    batch = torch.arange(b, device=images.device)[:, None, None]
+    return images.movedim(1, -1)[batch, rows, cols].movedim(-1, 1)
+
+
+def stack_channels(pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b c h w"]:
+    """A stack of K frames as one image of 3K channels, -1..1."""
+    return to_float(pixels).flatten(1, 2)

@@ -1,0 +1,97 @@
+"""Generator and discriminator of CycleGAN (Zhu et al. 2017, appendix)."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+def gan_init(module: nn.Module) -> None:
+    """Normal(0, 0.02) convolutions, as CycleGAN."""
+    if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+        nn.init.normal_(module.weight, 0.0, 0.02)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
+
+
+def conv_block(ins: int, outs: int, kernel: int, stride: int = 1) -> nn.Sequential:
+    """Reflection padding, convolution, instance norm, ReLU."""
+    return nn.Sequential(
+        nn.ReflectionPad2d(kernel // 2),
+        nn.Conv2d(ins, outs, kernel, stride=stride),
+        nn.InstanceNorm2d(outs, affine=True),
+        nn.ReLU(inplace=True),
+    )
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions around a skip connection."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            conv_block(channels, channels, 3),
+            nn.ReflectionPad2d(1),
+            nn.Conv2d(channels, channels, 3),
+            nn.InstanceNorm2d(channels, affine=True),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.body(x)
+
+
+class ResnetGenerator(nn.Module):
+    """c7s1, two stride-2 convolutions, ``blocks`` residual blocks, two upsamplings, c7s1, tanh.
+
+    Instance norm throughout, so training and evaluation agree and a batch of one is like any other.
+    Any image size divisible by 4 is kept.
+
+    Args:
+        channels: of the images, 3 or 3K.
+        width: channels after the first layer (ngf).
+        blocks: residual blocks, 9 in CycleGAN for 256 pixels, 6 for 128.
+    """
+
+    def __init__(self, channels: int = 3, width: int = 64, blocks: int = 9) -> None:
+        super().__init__()
+        layers = [conv_block(channels, width, 7), conv_block(width, 2 * width, 3, 2), conv_block(2 * width, 4 * width, 3, 2)]
+        layers += [ResidualBlock(4 * width) for _ in range(blocks)]
+        for ins, outs in ((4 * width, 2 * width), (2 * width, width)):
+            layers.append(
+                nn.Sequential(
+                    nn.ConvTranspose2d(ins, outs, 3, stride=2, padding=1, output_padding=1),
+                    nn.InstanceNorm2d(outs, affine=True),
+                    nn.ReLU(inplace=True),
+                )
+            )
+        self.body = nn.Sequential(*layers, nn.ReflectionPad2d(3), nn.Conv2d(width, channels, 7))
+        self.apply(gan_init)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        """Translate images, -1..1."""
+        return torch.tanh(self.body(x).float())
+
+
+class PatchDiscriminator(nn.Module):
+    """PatchGAN: ``layers`` stride-2 convolutions, then a map of logits, one a patch.
+
+    Args:
+        channels: of the images.
+        width: channels after the first layer (ndf).
+        layers: stride-2 layers; 3 gives 70x70 patches.
+    """
+
+    def __init__(self, channels: int = 3, width: int = 64, layers: int = 3) -> None:
+        super().__init__()
+        body: list[nn.Module] = [nn.Conv2d(channels, width, 4, 2, 1), nn.LeakyReLU(0.2, inplace=True)]
+        for i in range(layers):
+            ins, outs = width * min(2**i, 8), width * min(2 ** (i + 1), 8)
+            stride = 2 if i < layers - 1 else 1
+            body += [nn.Conv2d(ins, outs, 4, stride, 1), nn.InstanceNorm2d(outs, affine=True), nn.LeakyReLU(0.2, inplace=True)]
+        self.body = nn.Sequential(*body, nn.Conv2d(width * min(2**layers, 8), 1, 4, 1, 1))
+        self.apply(gan_init)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b 1 ph pw"]:
+        """Logits of "real", one a patch."""
+        return self.body(x).float()

@@ -1,0 +1,178 @@
+"""Acting in environments: collecting trajectories, evaluating, and feeding SAC and GARAT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+import torch
+from torch import Tensor
+
+from datamodules import Episode, Trajectories
+from idapt_pl.modules import ActionTransformation
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""A policy: pixels uint8 (n, K, H, W, 3) to actions float32 (n, nu)."""
+VectorEnv = gymnasium.vector.VectorEnv
+
+
+def random_policy(env: VectorEnv, seed: int) -> Act:
+    """Uniform actions within the bounds."""
+    rng = np.random.default_rng(seed)
+    low, high = env.action_space.low, env.action_space.high
+    return lambda pixels: rng.uniform(low, high).astype(np.float32)
+
+
+def collect(env: VectorEnv, act: Act, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
+    """Exactly ``steps`` control steps, cut into episodes; the last one of each simulation may be unfinished.
+
+    States and rewards are recorded where the environment shows them, which the target does not.
+
+    Args:
+        env: any of the image environments.
+        act: the policy.
+        steps: control steps, over all simulations together.
+        seed: of the environment's resets.
+        source: free text for the file.
+        pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
+    """
+    obs, _ = env.reset(seed=seed)
+    labelled = "state" in obs
+    episodes: list[Episode] = []
+    running = [_EpisodeBuilder(obs, i, pixels) for i in range(env.num_envs)]
+    taken = 0
+    while taken < steps:
+        actions = act(obs["pixels"])
+        obs, rewards, terminations, truncations, infos = env.step(actions)
+        successor = infos.get("final_obs", obs)
+        taken += env.num_envs
+        for i, builder in enumerate(running):
+            builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
+            if terminations[i] or truncations[i] or taken >= steps:
+                episodes.append(builder.finish(labelled))
+                running[i] = _EpisodeBuilder(obs, i, pixels)
+    return Trajectories(tuple(episodes), env.unwrapped.dt, source)
+
+
+class _EpisodeBuilder:
+    def __init__(self, obs: dict[str, np.ndarray], i: int, pixels: str) -> None:
+        self.pixels = pixels
+        self.frames, self.states, self.actions, self.outcomes = [], [], [], []
+        self._see(obs, i)
+
+    def _see(self, obs: dict[str, np.ndarray], i: int) -> None:
+        self.frames.append(obs[self.pixels][i, -1])
+        if "state" in obs:
+            self.states.append(obs["state"][i])
+
+    def add(self, action: np.ndarray, obs: dict[str, np.ndarray], i: int, outcome: tuple) -> None:
+        self.actions.append(action)
+        self.outcomes.append(outcome)
+        self._see(obs, i)
+
+    def finish(self, labelled: bool) -> Episode:
+        if not labelled:
+            return Episode(np.asarray(self.actions), {"pixels": np.asarray(self.frames)})
+        rewards, terminations, truncations = map(np.asarray, zip(*self.outcomes, strict=True))
+        observations = {"pixels": np.asarray(self.frames), "state": np.asarray(self.states)}
+        return Episode(np.asarray(self.actions), observations, rewards, terminations, truncations)
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Undiscounted returns of whole episodes; ``interactions`` is what they cost."""
+
+    returns: tuple[float, ...]
+    interactions: int
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.returns))
+
+    @property
+    def std(self) -> float:
+        return float(np.std(self.returns))
+
+
+def evaluate(env: VectorEnv, act: Act, episodes: int, seed: int) -> Returns:
+    """Returns of ``episodes`` whole episodes, played ``env.num_envs`` at a time.
+
+    The only function that reads a reward of the target; nothing that trains or selects calls it.
+    """
+    returns: list[float] = []
+    interactions = 0
+    while len(returns) < episodes:
+        obs, _ = env.reset(seed=seed + len(returns))
+        playing = np.arange(env.num_envs) < episodes - len(returns)
+        total = np.zeros(env.num_envs)
+        chosen = playing.copy()
+        while playing.any():
+            obs, rewards, terminations, truncations, _ = env.step(act(obs["pixels"]))
+            total += rewards * playing
+            interactions += int(playing.sum())
+            playing &= ~(terminations | truncations)
+        returns.extend(total[chosen])
+    return Returns(tuple(map(float, returns)), interactions)
+
+
+def transition_feeder(env: VectorEnv, act: Act, seed: int) -> Callable[[], dict[str, np.ndarray]]:
+    """A function that steps ``env`` once and returns the n transitions, for replay.
+
+    The successor of a finished episode is its last observation, not the first of the next one.
+    """
+    obs, _ = env.reset(seed=seed)
+
+    def step() -> dict[str, np.ndarray]:
+        nonlocal obs
+        before = obs
+        actions = act(before["pixels"])
+        obs, rewards, terminations, _, infos = env.step(actions)
+        successor = infos.get("final_obs", obs)
+        return {
+            "pixels": before["pixels"],
+            "state": before["state"],
+            "actions": actions,
+            "rewards": rewards.astype(np.float32),
+            "terminations": terminations,
+            "next_pixels": successor["pixels"],
+            "next_state": successor["state"],
+        }
+
+    return step
+
+
+def garat_rollout(
+    env: VectorEnv, policy: Act, F: ActionTransformation, length: int, seed: int
+) -> Callable[[], dict[str, Tensor]]:
+    """A function that rolls the current F out for ``length`` steps of each simulation.
+
+    ``env`` is the source seen through G; F samples its residual, the source steps with the result.
+
+    Returns:
+        Tensors of shape (length, n, ...): ``features``, ``actions`` (the policy's), ``delta`` (F's sample),
+        ``next_features``, ``next_actions``, ``ends`` (bool; the next row is another episode).
+    """
+    obs, _ = env.reset(seed=seed)
+    device = F.device
+
+    @torch.no_grad()
+    def roll() -> dict[str, Tensor]:
+        nonlocal obs
+        rows: list[dict[str, Tensor]] = []
+        features, actions = F.encode(obs["pixels"]), torch.from_numpy(policy(obs["pixels"])).to(device)
+        for t in range(length):
+            delta = F.residual(F.agent_input(features, actions)).sample()
+            obs, _, terminations, truncations, infos = env.step(F.apply_residual(actions, delta).cpu().numpy())
+            successor, done = infos.get("final_obs", obs), terminations | truncations
+            row = {"features": features, "actions": actions, "delta": delta}
+            row["next_features"] = features = F.encode(successor["pixels"])
+            row["next_actions"] = actions = torch.from_numpy(policy(successor["pixels"])).to(device)
+            row["ends"] = torch.from_numpy(done | (t == length - 1)).to(device)
+            rows.append(row)
+            if done.any():
+                features, actions = F.encode(obs["pixels"]), torch.from_numpy(policy(obs["pixels"])).to(device)
+        return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+
+    return roll

@@ -1,0 +1,114 @@
+"""One stage: seed, skip if done, fit with a fresh Trainer, keep the result. The only user of Trainer."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import lightning as L
+import torch
+
+from datamodules import Trajectories, write_trajectories
+from datamodules.trajectories import open_trajectory_file
+from idapt_pl.files import write_atomically, write_json
+
+log = logging.getLogger(__name__)
+Module = TypeVar("Module", bound=L.LightningModule)
+MakeTrainer = Callable[[Path, int], L.Trainer]
+"""Folder of the stage and its number of batches to a fresh Trainer."""
+
+
+def stage_seed(seed: int, step: int, name: str) -> int:
+    """A seed of its own for every stage, so that none depends on what ran before it."""
+    return zlib.crc32(f"{seed}/{step}/{name}".encode()) % 2**31
+
+
+class Stages:
+    """Runs stages inside a run folder, ``RUN/step_<k>/<name>/``; a stage that is done is loaded instead.
+
+    Args:
+        run_dir: the run folder.
+        seed: the run's seed; each stage derives its own.
+        make_trainer: a fresh Trainer, since a Trainer's counters survive a fit.
+    """
+
+    def __init__(self, run_dir: Path, seed: int, make_trainer: MakeTrainer) -> None:
+        self.run_dir, self.seed, self.make_trainer = run_dir, seed, make_trainer
+
+    def folder(self, step: int) -> Path:
+        """Folder of one grounding step."""
+        return self.run_dir / f"step_{step:02d}"
+
+    def fit(
+        self,
+        step: int,
+        name: str,
+        build: Callable[[], Module],
+        feed: Callable[[Module, int, torch.device], L.LightningDataModule],
+        batches: int,
+    ) -> Module:
+        """Fit a module, or load it if this stage is done.
+
+        Args:
+            step: grounding step.
+            name: of the stage.
+            build: makes the module (randomness is seeded before).
+            feed: makes its data from the module, the stage's seed and the device trained on.
+            batches: how long to fit.
+        """
+        folder, seed = self.folder(step) / name, stage_seed(self.seed, step, name)
+        L.seed_everything(seed, verbose=False)
+        module = build()
+        final = folder / "final.ckpt"
+        if final.exists():
+            log.info("step %d  %-16s done before, loaded from %s", step, name, final)
+            module.load_state_dict(torch.load(final, weights_only=True, map_location="cpu")["state_dict"])
+            return module.eval()
+        shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
+        started = time.perf_counter()
+        if batches:
+            trainer = self.make_trainer(folder, batches)
+            device = trainer.strategy.root_device
+            trainer.fit(module, datamodule=feed(module.to(device), seed, device))
+            if trainer.interrupted:
+                raise KeyboardInterrupt
+        seconds = time.perf_counter() - started
+        write_json(folder / "stage.json", {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches})
+        state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
+        write_atomically(final, lambda path: torch.save(state, path))
+        log.info("step %d  %-16s %5d batches  %6.1f s  -> %s", step, name, batches, seconds, final)
+        return module.cpu().eval()
+
+    def record(self, step: int, name: str, make: Callable[[int], Trajectories]) -> tuple[Path, int]:
+        """Collect a trajectory file, or keep the one that is there. Returns its path and its control steps."""
+        path = self.folder(step) / f"{name}.h5"
+        if not path.exists():
+            started = time.perf_counter()
+            write_trajectories(path, make(stage_seed(self.seed, step, name)))
+            seconds = time.perf_counter() - started
+            write_json(self.folder(step) / f"{name}.json", {"step": step, "stage": name, "wall_s": round(seconds, 2)})
+            log.info("step %d  %-16s %6.1f s  -> %s", step, name, seconds, path)
+        with open_trajectory_file(path) as f:
+            return path, int(f.attrs["total_steps"])
+
+    def measure(self, step: int, name: str, make: Callable[[int], dict]) -> dict:
+        """Compute a JSON result, or read the one that is there."""
+        path = self.folder(step) / f"{name}.json"
+        if not path.exists():
+            started = time.perf_counter()
+            result = make(stage_seed(self.seed, step, name))
+            timing = {"step": step, "stage": name, "wall_s": round(time.perf_counter() - started, 2)}
+            write_json(path, timing | result)
+        return json.loads(path.read_text())
+
+    def timings(self) -> list[dict]:
+        """Step, stage and wall-clock seconds of everything done so far, in order of completion."""
+        files = [*self.run_dir.glob("step_*/*/stage.json"), *self.run_dir.glob("step_*/*.json")]
+        entries = [json.loads(p.read_text()) for p in sorted(files, key=lambda p: p.stat().st_mtime)]
+        return [{k: e[k] for k in ("step", "stage", "wall_s")} for e in entries]

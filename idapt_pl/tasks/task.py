@@ -1,0 +1,54 @@
+"""What a task is: a base model, a start, a state vector, a reward and an end."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from idapt_pl.domains import Domain
+
+
+class Task(ABC):
+    """A control task, the same in every domain; stateless, so one instance serves many simulations.
+
+    Attributes:
+        name: as on the command line.
+        frame_skip: physics steps per control step.
+        horizon: control steps after which an episode is cut (a time limit, not an end of the task).
+        metric: what `evaluate` reports, ``"return"`` or ``"success"``.
+    """
+
+    name: ClassVar[str]
+    frame_skip: ClassVar[int]
+    horizon: ClassVar[int]
+    metric: ClassVar[str] = "return"
+
+    @abstractmethod
+    def base(self) -> mujoco.MjSpec:
+        """The base model, with a camera named ``"view"``."""
+
+    @abstractmethod
+    def domains(self) -> dict[str, Domain]:
+        """The domains ``source``, ``easy`` and ``hard``."""
+
+    @abstractmethod
+    def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
+        """Draw a start state into ``data.qpos``, ``data.qvel``."""
+
+    @abstractmethod
+    def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        """The state vector s, float64 (state_dim,); what critics see and predictors predict."""
+
+    @abstractmethod
+    def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
+        """Reward and termination after a control step with ``action``."""
+
+    def domain(self, name: str) -> Domain:
+        """One domain by name; the error lists the names there are."""
+        domains = self.domains()
+        if name not in domains:
+            raise ValueError(f"task {self.name!r} has no domain {name!r}; it has: {', '.join(domains)}")
+        return domains[name]

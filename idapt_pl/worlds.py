@@ -1,0 +1,60 @@
+"""The worlds of one run: source, grounded source, and the target as each part of the run may see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from idapt_pl.domains import Domain
+from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv
+from idapt_pl.ledger import Ledger
+from idapt_pl.modules import ActionTransformation, VisualTransformation
+from idapt_pl.tasks import Task
+
+
+@dataclass(frozen=True)
+class Worlds:
+    """Makes the environments of a run, all with the same image size and frame stack."""
+
+    task: Task
+    source_domain: Domain
+    target_domain: Domain
+    ledger: Ledger
+    image_size: int
+    frame_stack: int
+
+    def source(self, num_envs: int) -> VectorImageEnv:
+        """The source: images, state, reward."""
+        return VectorImageEnv(self.task, self.source_domain, num_envs, self.image_size, self.frame_stack)
+
+    def grounded(
+        self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None
+    ) -> GroundedEnv:
+        """The source seen through G and moved through F; None is the identity."""
+        return GroundedEnv(
+            self.source(num_envs),
+            G=G.translate if G is not None else None,
+            F=F.transform if F is not None else None,
+            frames=G.frames if G is not None else 1,
+        )
+
+    def blind_target(self, step: int) -> BlindTarget:
+        """The target as training may see it: one robot, images and actions only, every step counted."""
+        return BlindTarget(self.rewarded_target(1), self.ledger, step, "training")
+
+    def rewarded_target(self, num_envs: int) -> VectorImageEnv:
+        """The target with its reward: for evaluation and the oracle reference, never for the method."""
+        return VectorImageEnv(self.task, self.target_domain, num_envs, self.image_size, self.frame_stack)
+
+    @property
+    def dimensions(self) -> dict[str, int]:
+        """State, image and stack sizes, as the modules' constructors name them."""
+        env = self.source(1)
+        state_dim = env.single_observation_space["state"].shape[0]
+        env.close()
+        return {"state_dim": state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
+
+    @property
+    def action_bounds(self) -> dict[str, list[float]]:
+        """Action bounds, as the modules' constructors name them."""
+        low, high = self.source_domain.compile().actuator_ctrlrange.T
+        return {"action_low": low.tolist(), "action_high": high.tolist()}
