@@ -20,12 +20,13 @@ from idapt_pl.fitting import Factories, Feeding, Fitting
 from idapt_pl.grounding import IterativeGrounding, Schedule
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.nets.encoder import Vision
 from idapt_pl.references import train_oracle
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
 
-DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "encoder"}
+DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
 """Constructor arguments that the task and the data determine, never typed in a config."""
 
 MODULES: dict[str, type[L.LightningModule]] = {
@@ -52,12 +53,14 @@ class GroundingCLI(LightningCLI):
     """One config key for each thing there is: the run, its schedule, the four modules, the Trainer."""
 
     def __init__(self, args: list[str] | Namespace) -> None:
+        sys.argv = ["idapt fit"]  # LightningCLI warns when it is given arguments beside the process's own
         super().__init__(
             args=args,
             run=False,
             save_config_callback=None,
+            auto_configure_optimizers=False,
             seed_everything_default=False,
-            parser_kwargs={"prog": "idapt fit", "description": __doc__},
+            parser_kwargs={"prog": "idapt fit", "description": __doc__, "exit_on_error": False},
         )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -66,13 +69,15 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
         parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
+        parser.add_argument("--view", type=float, default=1.0, help="share of the camera's view imaged, around its middle")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
         parser.add_class_arguments(Schedule, "schedule")
         parser.add_class_arguments(Feeding, "feeding")
+        parser.add_class_arguments(Vision, "vision")
         for name, module in MODULES.items():
-            parser.add_class_arguments(module, name, skip=DIMENSIONS, instantiate=False)
+            parser.add_class_arguments(module, name, skip=DIMENSIONS | ({"encoder"} if name == "dynamics" else set()), instantiate=False)
         parser.add_lightning_class_args(L.Trainer, "trainer")
 
     def instantiate_classes(self) -> None:
@@ -101,10 +106,12 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     run_dir = Path(config.run_dir or f"runs/{config.task}_{config.target}_{config.seed}")
     worlds = Worlds(
         task, task.domain("source"), task.domain(config.target), Ledger(run_dir / "ledger.json"),
-        config.image_size, config.frame_stack,
+        config.image_size, config.frame_stack, config.view,
     )
     stages = Stages(run_dir, config.seed, cli.trainer_for)
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}
+    for name in ("state_predictor", "visual", "policy"):
+        factories[name] = functools.partial(factories[name], vision=config.vision)
     fitting = Fitting(worlds, stages, Factories(**factories), config.feeding)
     evaluation = Evaluation(worlds, stages, config.episodes, config.target)
     return IterativeGrounding(fitting, evaluation, config.schedule), run_dir
@@ -112,8 +119,6 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
 
 def main(args: list[str]) -> int:
     """Run ``idapt fit``."""
-    for noisy in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(noisy).setLevel(logging.WARNING)
     cli = GroundingCLI(args)
     grounding, run_dir = build(cli)
     write_provenance(cli.parser, cli.config, run_dir)

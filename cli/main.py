@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import logging
+import re
 import sys
+import warnings
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -13,12 +16,24 @@ COMMANDS = {
     "doctor": "what works on this machine, and how to cure what does not",
 }
 
+HARMLESS = (
+    "Experiment logs directory .* exists and is not empty",
+    "`isinstance\\(treespec",
+    "Your `IterableDataset` has `__len__`",
+    "Found \\d+ module\\(s\\) in eval mode",  # the frozen ones
+    "The '\\w+' does not have many workers",
+    "\\(655\\d\\d\\) ",  # glfw, on a machine without a screen
+)
+"""Warnings of other packages that a user can do nothing about, as patterns of how they begin."""
+
 
 def usage() -> str:
     """The overview that ``idapt --help`` prints."""
-    lines = ["usage: idapt COMMAND [options]", "", "Take a policy to a target that looks and moves differently.", ""]
+    lines = ["usage: idapt COMMAND [options]", ""]
+    lines += ["Take a policy to a target that looks and moves differently.", ""]
     lines += [f"  {name:<10} {what}" for name, what in COMMANDS.items()]
-    lines += ["", "`idapt COMMAND --help` explains a command. Start with:", "  idapt fit --config configs/pendulum_quick.yaml"]
+    lines += ["", "`idapt COMMAND --help` explains a command. Start with:"]
+    lines += ["  idapt fit --config configs/pendulum_quick.yaml"]
     return "\n".join(lines)
 
 
@@ -33,13 +48,28 @@ def main(argv: list[str] | None = None) -> int:
         print(f"idapt: unknown command {name!r}; commands are: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
+    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    debug = "--debug" in rest
+    rest = [a for a in rest if a != "--debug"]
+    for message in HARMLESS:
+        warnings.filterwarnings("ignore", message)
     try:
         return importlib.import_module(f"cli.{name}").main(rest)
+    except argparse.ArgumentError as error:
+        print(f"idapt {name}: {plain(error)}. `idapt {name} --help` lists what there is.", file=sys.stderr)
+        return 2
     except (ValueError, OSError, RuntimeError) as error:
-        if "--debug" in rest:
+        if debug:
             raise
         print(f"idapt {name}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"idapt {name}: interrupted; the same command resumes it", file=sys.stderr)
         return 1
+
+
+def plain(error: argparse.ArgumentError) -> str:
+    """A parser's error on one line and without its own vocabulary."""
+    text = re.sub(r"<class '([\w.]+)'>", r"\1", " ".join(str(error).split()))
+    return re.sub(r'^Parser key "(\S+)":', r"\1:", text).rstrip(".")

@@ -1,5 +1,9 @@
 """Trajectory files and the LightningDataModules on top of them."""
 
+from datamodules.torchvision_compat import ensure_torchvision
+
+ensure_torchvision()  # before anything imports Lightning
+
 from datamodules.on_policy import OnPolicyDataModule
 from datamodules.replay import ReplayBuffer, ReplayDataModule
 from datamodules.trajectories import (

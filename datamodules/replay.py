@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import lightning as L
 import numpy as np
@@ -10,6 +11,18 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 Transitions = dict[str, np.ndarray]
+
+
+TRANSITION = ("observation", "state", "actions", "rewards", "terminations", "next_observation", "next_state")
+
+
+class Act(Protocol):
+    """Acts in an environment."""
+
+    recent_return: float
+
+    def __call__(self) -> Transitions:
+        """Advance by one step; n transitions."""
 
 
 class ReplayBuffer:
@@ -36,12 +49,12 @@ class ReplayBuffer:
         self._next = int((self._next + n) % self.capacity)
         self.size = min(self.size + n, self.capacity)
 
-    def sample(self, *shape: int) -> dict[str, torch.Tensor]:
-        """Uniform with replacement; every tensor has leading dimensions ``shape``."""
+    def sample(self, *shape: int, names: Sequence[str] | None = None) -> dict[str, torch.Tensor]:
+        """Uniform with replacement; every tensor (or those of ``names``) has leading dimensions ``shape``."""
         if self.size == 0:
             raise ValueError("the replay buffer is empty: act in the environment before sampling")
         rows = self._rng.integers(self.size, size=shape)
-        return {name: torch.from_numpy(array[rows]) for name, array in self._arrays.items()}
+        return {name: torch.from_numpy(self._arrays[name][rows]) for name in names or self._arrays}
 
 
 class _ActAndSample(IterableDataset):
@@ -53,35 +66,47 @@ class _ActAndSample(IterableDataset):
     def __len__(self) -> int:  # with a length, Lightning fetches no batch ahead, so data are never stale
         return self.module.batches
 
-    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+    def __iter__(self) -> Iterator[dict[str, dict[str, torch.Tensor]]]:
         m = self.module
         for _ in range(m.batches):
             m.buffer.add(m.act())
-            yield m.buffer.sample(m.updates_per_batch, m.batch_size)
+            batch = {"transitions": m.buffer.sample(m.updates_per_batch, m.batch_size, names=TRANSITION)}
+            if m.image_batches:
+                batch["images"] = m.buffer.sample(m.image_batches, m.image_batch_size, names=("pixels", "state"))
+            yield batch
 
 
 class ReplayDataModule(L.LightningDataModule):
     """Feeds SAC: acting and sampling alternate, one environment step then ``updates_per_batch`` minibatches.
 
     Args:
-        act: advances the environments by one step and returns their n transitions.
+        act: advances the environments by one step and returns their n transitions; has a ``recent_return``.
         buffer: filled with warm-up transitions by whoever made it.
         batch_size: transitions in a minibatch.
         updates_per_batch: minibatches in a batch; tensors are (updates_per_batch, batch_size, ...).
         batches: length of an epoch.
+        image_batches: minibatches of images with states in a batch, 0 for none.
+        image_batch_size: images in one of them.
     """
 
     def __init__(
         self,
-        act: Callable[[], Transitions],
+        act: Act,
         buffer: ReplayBuffer,
         batch_size: int,
         updates_per_batch: int,
         batches: int,
+        image_batches: int = 0,
+        image_batch_size: int = 32,
     ) -> None:
         super().__init__()
         self.act, self.buffer = act, buffer
+        self.image_batches, self.image_batch_size = image_batches, image_batch_size
         self.batch_size, self.updates_per_batch, self.batches = batch_size, updates_per_batch, batches
+
+    def progress(self) -> dict[str, float]:
+        """What acting has achieved, to be logged beside the losses."""
+        return {"policy/episode_return": self.act.recent_return, "policy/transitions": float(self.buffer.size)}
 
     def train_dataloader(self) -> DataLoader:
         return DataLoader(_ActAndSample(self), batch_size=None, num_workers=0)

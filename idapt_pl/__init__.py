@@ -6,3 +6,7 @@ import os
 # rasteriser from starting a thread per core, which would fight the learner and is slower for small images.
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")
+
+from datamodules.torchvision_compat import ensure_torchvision
+
+ensure_torchvision()  # before anything imports Lightning

@@ -13,7 +13,8 @@ import torch
 
 from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
-from idapt_pl.rollout import VectorEnv, garat_rollout, random_policy, transition_feeder
+from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.rollout import Experience, VectorEnv, garat_rollout
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -64,7 +65,12 @@ class Fitting:
         self.worlds, self.stages, self.make, self.feeding = worlds, stages, make, feeding
 
     def state_predictor(
-        self, step: int, source: Sequence[Path], batches: int, initial: StatePredictor | None
+        self,
+        step: int,
+        source: Sequence[Path],
+        batches: int,
+        initial: StatePredictor | None,
+        name: str = "state_predictor",
     ) -> StatePredictor:
         """P^S on labelled source images, from scratch or continued from ``initial``."""
 
@@ -72,7 +78,7 @@ class Fitting:
             return LabelledImages(source, self.worlds.frame_stack, self.feeding.state_predictor_batch, batches, seed)
 
         build = continued(lambda: self.make.state_predictor(**self.worlds.dimensions), initial)
-        return self.stages.fit(step, "state_predictor", build, feed, batches)
+        return self.stages.fit(step, name, build, feed, batches)
 
     def visual(
         self,
@@ -124,40 +130,55 @@ class Fitting:
         return self.stages.fit(step, "dynamics", build, feed, rollouts)
 
     def policy(
-        self, step: int, name: str, make_env: Callable[[torch.device], VectorEnv], steps: int, initial: AsymmetricSAC | None
+        self,
+        step: int,
+        name: str,
+        make_env: Callable[[torch.device], VectorEnv],
+        steps: int,
+        initial: AsymmetricSAC | PixelStatePredictor,
     ) -> AsymmetricSAC:
-        """π by SAC in an environment, from scratch or continued from ``initial``."""
+        """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor."""
         f = self.feeding
+        fresh = isinstance(initial, PixelStatePredictor)
+
+        def build() -> AsymmetricSAC:
+            module = self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)
+            module.start_from(initial) if fresh else module.load_state_dict(initial.state_dict())
+            return module
 
         def feed(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
             env = make_env(device)
             buffer = ReplayBuffer(min(f.buffer_size, f.warmup_steps + steps), seed)
-            warm_up = transition_feeder(env, random_policy(env, seed) if initial is None else module.act, seed)
+            warm_up = Experience(env, module, seed, random=fresh)
             for _ in range(int(np.ceil(f.warmup_steps / f.num_envs))):
                 buffer.add(warm_up())
-            act = transition_feeder(env, module.act, seed + 1)
-            return ReplayDataModule(act, buffer, f.policy_batch, f.updates_per_step * f.num_envs, steps // f.num_envs)
+            supervised = module.hparams.encoder == "supervised"
+            return ReplayDataModule(
+                Experience(env, module, seed + 1),
+                buffer,
+                f.policy_batch,
+                updates_per_batch=f.updates_per_step * f.num_envs,
+                batches=steps // f.num_envs,
+                image_batches=round(module.hparams.estimator_updates * f.num_envs) if supervised else 0,
+                image_batch_size=module.hparams.estimator_batch,
+            )
 
-        dimensions = self.worlds.dimensions | self.worlds.action_bounds
-        build = continued(lambda: self.make.policy(**dimensions), initial)
         return self.stages.fit(step, name, build, feed, steps // f.num_envs)
 
+    def source_policy(self, steps: int, P_S: StatePredictor) -> AsymmetricSAC:
+        """π by SAC in the plain source: where everything starts, and the reference for direct transfer."""
+        make_env = lambda device: self.worlds.source(self.feeding.num_envs)  # noqa: E731
+        return self.policy(0, "source_policy", make_env, steps, P_S.P_S)
+
     def grounded_policy(
-        self,
-        step: int,
-        steps: int,
-        G: VisualTransformation | None,
-        F: ActionTransformation | None,
-        initial: AsymmetricSAC | None,
-        name: str = "policy",
+        self, step: int, steps: int, G: VisualTransformation, F: ActionTransformation | None, initial: AsymmetricSAC
     ) -> AsymmetricSAC:
         """π by SAC in the source seen through G and moved through F."""
 
         def make_env(device: torch.device) -> VectorEnv:
-            helpers = [m.to(device) if m is not None else None for m in (G, F)]
-            return self.worlds.grounded(self.feeding.num_envs, *helpers)
+            return self.worlds.grounded(self.feeding.num_envs, G.to(device), F.to(device) if F is not None else None)
 
-        return self.policy(step, name, make_env, steps, initial)
+        return self.policy(step, "policy", make_env, steps, initial)
 
 
 def continued(build: Callable[[], torch.nn.Module], initial: torch.nn.Module | None) -> Callable:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Fitting
-from idapt_pl.rollout import collect, random_policy
+from idapt_pl.rollout import EXPLORATION, Act, collect
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Schedule:
     Args:
         grounding_steps: N.
         images: control steps in each of the task-agnostic datasets.
+        exploration: the policy that collects them, ``random`` (uniform actions) or ``babble`` (slower and
+            at several strengths).
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
@@ -46,6 +49,7 @@ class Schedule:
 
     grounding_steps: int = 5
     images: int = 20_000
+    exploration: Literal["random", "babble"] = "random"
     interactions: int = 1000
     source_policy: int = 10_000
     pretrain: Lengths = field(default_factory=lambda: Lengths(25_000, 100_000, 10_000))
@@ -70,10 +74,10 @@ class IterativeGrounding:
         pretrain, finetune = self.schedule.pretrain, self.schedule.finetune
 
         D_S, D_T = [self.explore_source()], [self.explore_target()]
-        pi = self.fit.grounded_policy(0, self.schedule.source_policy, None, None, None, "source_policy")
+        P_S = self.fit.state_predictor(0, D_S, pretrain.state_predictor, None)
+        pi = self.fit.source_policy(self.schedule.source_policy, P_S)
         self.evaluation.direct_transfer(pi)
 
-        P_S = self.fit.state_predictor(0, D_S, pretrain.state_predictor, None)
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
         F = None  # the identity
         pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
@@ -93,11 +97,11 @@ class IterativeGrounding:
 
     def explore_source(self) -> Path:
         """D^S: task-agnostic images and states of the source, from random actions."""
-        return self._record_source(0, lambda seed: random_policy(self.worlds.source(1), seed), None, None, self.schedule.images)
+        return self._record_source(0, self.explore, None, None, self.schedule.images)
 
     def explore_target(self) -> Path:
         """D^T: task-agnostic images of the target, from random actions."""
-        return self._record_target(0, lambda seed: random_policy(self.worlds.source(1), seed), self.schedule.images)
+        return self._record_target(0, self.explore, self.schedule.images)
 
     def roll_out_target(self, k: int, pi) -> Path:
         """D^T_online: the current policy in the target."""
@@ -106,6 +110,10 @@ class IterativeGrounding:
     def roll_out_grounded(self, k: int, pi, G, F) -> Path:
         """D^S_online: the current policy in the grounded source; source images and states are kept."""
         return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
+
+    def explore(self, seed: int) -> Act:
+        """The task-agnostic policy."""
+        return EXPLORATION[self.schedule.exploration](self.worlds.source(1), seed)
 
     def recent(self, data: list[Path]) -> list[Path]:
         """The data that a grounding step trains P^S and G on."""

@@ -24,7 +24,7 @@ def smoothed_bce(logits: Float[Tensor, "..."], real: bool) -> Float[Tensor, ""]:
 GAN_LOSSES: dict[str, Callable[[Tensor, bool], Tensor]] = {"lsgan": lsgan, "bce": smoothed_bce}
 
 
-def gail_reward(logits: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+def gail_reward(logits: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
     """-log D(x) with D = sigmoid(logit) = 1 for the agent (GAIfO, Torabi et al. 2018, alg. 1)."""
     return nnf.softplus(-logits)
 

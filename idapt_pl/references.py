@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import torch
 
+from datamodules import Trajectories
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.rollout import VectorEnv
+from idapt_pl.rollout import EXPLORATION, VectorEnv, collect
 
 
 def train_oracle(grounding: IterativeGrounding) -> dict:
@@ -20,8 +23,14 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
     def make_env(device: torch.device) -> VectorEnv:
         return worlds.rewarded_target(fit.feeding.num_envs)
 
-    policy = fit.policy(0, "oracle", make_env, steps, None)
-    worlds.ledger.enter(0, "oracle reference", steps + fit.feeding.warmup_steps)
+    def collect_labelled(seed: int) -> Trajectories:
+        with closing(worlds.rewarded_target(1)) as env:
+            return collect(env, EXPLORATION[schedule.exploration](env, seed), schedule.images, seed, "oracle reference")
+
+    path, images = grounding.stages.record(0, "oracle", collect_labelled)
+    predictor = fit.state_predictor(0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
+    policy = fit.policy(0, "oracle", make_env, steps, predictor.P_S)
+    worlds.ledger.enter(0, "oracle reference", images + steps + fit.feeding.warmup_steps)
     result = grounding.stages.measure(
         0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed)
     )

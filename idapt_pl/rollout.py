@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import torch
 from torch import Tensor
 
 from datamodules import Episode, Trajectories
-from idapt_pl.modules import ActionTransformation
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC
 
 Act = Callable[[np.ndarray], np.ndarray]
 """A policy: pixels uint8 (n, K, H, W, 3) to actions float32 (n, nu)."""
@@ -23,6 +24,30 @@ def random_policy(env: VectorEnv, seed: int) -> Act:
     rng = np.random.default_rng(seed)
     low, high = env.action_space.low, env.action_space.high
     return lambda pixels: rng.uniform(low, high).astype(np.float32)
+
+
+def babbling_policy(env: VectorEnv, seed: int) -> Act:
+    """Motor babbling: uniform actions around an offset, both redrawn with their amplitude now and then.
+
+    Plain uniform actions at full strength shake a system so hard that slow motion is never seen.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = env.action_space.low, env.action_space.high
+    center, half_range = (high + low) / 2, (high - low) / 2
+    amplitude, offset = np.zeros((2, *low.shape))
+
+    def act(pixels: np.ndarray) -> np.ndarray:
+        redraw = rng.random(len(low)) < 0.1
+        amplitude[redraw] = rng.random((int(redraw.sum()), 1)) ** 2
+        offset[redraw] = rng.uniform(-1, 1, offset[redraw].shape) * amplitude[redraw]
+        noise = rng.uniform(-1, 1, low.shape)
+        return np.clip(center + half_range * (offset + amplitude * noise), low, high).astype(np.float32)
+
+    return act
+
+
+EXPLORATION: dict[str, Callable[[VectorEnv, int], Act]] = {"random": random_policy, "babble": babbling_policy}
+"""Task-agnostic policies, by the names configs and the command line use."""
 
 
 def collect(env: VectorEnv, act: Act, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
@@ -117,30 +142,57 @@ def evaluate(env: VectorEnv, act: Act, episodes: int, seed: int) -> Returns:
     return Returns(tuple(map(float, returns)), interactions)
 
 
-def transition_feeder(env: VectorEnv, act: Act, seed: int) -> Callable[[], dict[str, np.ndarray]]:
-    """A function that steps ``env`` once and returns the n transitions, for replay.
+class Experience:
+    """Steps an environment once a call and returns the n transitions, for replay.
 
     The successor of a finished episode is its last observation, not the first of the next one.
-    """
-    obs, _ = env.reset(seed=seed)
 
-    def step() -> dict[str, np.ndarray]:
-        nonlocal obs
-        before = obs
-        actions = act(before["pixels"])
-        obs, rewards, terminations, _, infos = env.step(actions)
-        successor = infos.get("final_obs", obs)
+    Args:
+        env: with states and rewards.
+        policy: decides what is remembered of images, and acts on it.
+        seed: of the resets.
+        random: act at random instead (warm-up of a new policy).
+    """
+
+    def __init__(self, env: VectorEnv, policy: AsymmetricSAC, seed: int, random: bool = False) -> None:
+        self.env, self.policy = env, policy
+        self.act = policy.act_on
+        if random:
+            draw = random_policy(env, seed)
+            self.act = lambda seen: draw(seen["observation"])
+        obs, _ = env.reset(seed=seed)
+        self._state, self._seen = obs["state"], policy.remember(obs["pixels"])
+        self._return = np.zeros(env.num_envs)
+        self._finished: deque[float] = deque(maxlen=20)
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        """One step of every simulation: ``observation, state, actions, rewards, terminations, next_*``."""
+        state, seen = self._state, self._seen
+        actions = self.act(seen)
+        obs, rewards, terminations, truncations, infos = self.env.step(actions)
+        done = terminations | truncations
+        self._state, self._seen = obs["state"], self.policy.remember(obs["pixels"])
+        next_state, next_seen = self._state, self._seen
+        if done.any():
+            next_state = infos["final_obs"]["state"]
+            next_seen = self.policy.remember(infos["final_obs"]["pixels"])
+        self._return += rewards
+        self._finished.extend(self._return[done])
+        self._return[done] = 0.0
         return {
-            "pixels": before["pixels"],
-            "state": before["state"],
+            **seen,
+            "state": state,
             "actions": actions,
             "rewards": rewards.astype(np.float32),
             "terminations": terminations,
-            "next_pixels": successor["pixels"],
-            "next_state": successor["state"],
+            "next_observation": next_seen["observation"],
+            "next_state": next_state,
         }
 
-    return step
+    @property
+    def recent_return(self) -> float:
+        """Mean return of the last 20 finished episodes; of the running ones before any has finished."""
+        return float(np.mean(self._finished or self._return))
 
 
 def garat_rollout(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from idapt_pl.domains import Domain
 from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv
@@ -21,10 +22,11 @@ class Worlds:
     ledger: Ledger
     image_size: int
     frame_stack: int
+    view: float = 1.0
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
-        return VectorImageEnv(self.task, self.source_domain, num_envs, self.image_size, self.frame_stack)
+        return VectorImageEnv(self.task, self.source_domain, num_envs, self.image_size, self.frame_stack, self.view)
 
     def grounded(
         self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None
@@ -43,15 +45,16 @@ class Worlds:
 
     def rewarded_target(self, num_envs: int) -> VectorImageEnv:
         """The target with its reward: for evaluation and the oracle reference, never for the method."""
-        return VectorImageEnv(self.task, self.target_domain, num_envs, self.image_size, self.frame_stack)
+        return VectorImageEnv(self.task, self.target_domain, num_envs, self.image_size, self.frame_stack, self.view)
 
     @property
-    def dimensions(self) -> dict[str, int]:
-        """State, image and stack sizes, as the modules' constructors name them."""
+    def dimensions(self) -> dict[str, Any]:
+        """What the modules' constructors take from the task and the data."""
         env = self.source(1)
         state_dim = env.single_observation_space["state"].shape[0]
         env.close()
-        return {"state_dim": state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
+        sizes = {"state_dim": state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
+        return sizes | {"rates": dict(self.task.rates), "dt": env.dt}
 
     @property
     def action_bounds(self) -> dict[str, list[float]]:

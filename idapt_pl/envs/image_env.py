@@ -28,12 +28,13 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         num_envs: number of simulations.
         image_size: height and width of a frame, pixels.
         frame_stack: K.
+        view: share of the camera's field of view that is imaged, around its middle.
     """
 
-    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, image_size: int = 64, frame_stack: int = 3):
+    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, image_size: int = 64, frame_stack: int = 3, view: float = 1.0):
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.model = domain.compile()
+        self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
         self._render = FrameRenderer(self.model, image_size)
         self._rng = np.random.default_rng()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import torch
@@ -12,7 +13,8 @@ from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target, squashed_log_prob
 from idapt_pl.modules.training import ManualModule, fast_precision
-from idapt_pl.nets.encoder import PixelEncoder, orthogonal_init
+from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision, orthogonal_init
+from idapt_pl.nets.images import stack_channels
 from idapt_pl.nets.mlp import mlp
 
 
@@ -20,7 +22,7 @@ class ImageActor(nn.Module):
     """π(a|o): encoder f and an MLP head, a tanh-squashed Gaussian scaled to the action bounds."""
 
     def __init__(
-        self, encoder: PixelEncoder, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int]
+        self, encoder: PixelEncoder | PixelStatePredictor, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int]
     ) -> None:
         super().__init__()
         low, high = torch.tensor(action_low), torch.tensor(action_high)
@@ -65,8 +67,9 @@ class AsymmetricSAC(ManualModule):
         action_high: upper action bounds; taken from the model.
         image_size: side of the images, pixels; taken from the data.
         frame_stack: K.
-        crop: side of the random crop (training) and centre crop (acting), pixels.
-        strides: of the encoder's 4 convolutions.
+        vision: how images are looked at; the same for all modules.
+        rates: state component to the component it is the rate of; taken from the task.
+        dt: control period, s; taken from the task.
         hidden: of the actor head and the critics.
         lr: Adam, actor, critics and temperature, decaying linearly to ``lr_floor`` of it over a stage.
         lr_floor: 1 keeps the rate constant.
@@ -76,6 +79,12 @@ class AsymmetricSAC(ManualModule):
         learn_temperature: tune α towards ``target_entropy``; else it stays.
         target_entropy: nats, on actions normalised to (-1, 1); default -nu.
         actor_every: critic updates per actor (and temperature) update.
+        encoder: how f is trained. ``learned``: by the actor loss alone (the paper). ``supervised``: f(o) is an
+            estimate of the state, regressed on the source's states while the policy trains (asymmetric
+            information, as for the critics); replay then keeps f(o), and an update takes a tenth of the time.
+        estimator_updates: with ``supervised``, regression steps for each environment step.
+        estimator_batch: with ``supervised``, observations in a regression step.
+        lr_estimator: with ``supervised``, Adam.
         bf16: bfloat16 autocast in the encoder.
     """
 
@@ -86,8 +95,6 @@ class AsymmetricSAC(ManualModule):
         action_high: list[float],
         image_size: int,
         frame_stack: int = 3,
-        crop: int | None = None,
-        strides: Sequence[int] = (2, 1, 1, 1),
         hidden: Sequence[int] = (1024, 1024),
         lr: float = 3e-4,
         lr_floor: float = 1.0,
@@ -97,15 +104,27 @@ class AsymmetricSAC(ManualModule):
         learn_temperature: bool = True,
         target_entropy: float | None = None,
         actor_every: int = 2,
+        encoder: Literal["learned", "supervised"] = "learned",
+        estimator_updates: float = 1.0,
+        estimator_batch: int = 32,
+        lr_estimator: float = 1e-3,
         bf16: bool = True,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters()
-        self.actor = ImageActor(PixelEncoder(image_size, frame_stack, crop, strides), action_low, action_high, hidden)
+        self.save_hyperparameters(ignore=["vision", "rates"])
+        f: PixelEncoder | PixelStatePredictor = vision.encoder(image_size, frame_stack)
+        if encoder == "supervised":
+            f = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
+        self.actor = ImageActor(f, action_low, action_high, hidden)
         self.critic = TwinCritic(state_dim, self.actor, hidden)
         self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
         self.log_alpha = nn.Parameter(torch.tensor(float(np.log(temperature))))
         self.register_buffer("updates", torch.zeros((), dtype=torch.long))
+
+    def start_from(self, predictor: PixelStatePredictor) -> None:
+        """With a supervised encoder, start it as a copy of a fitted state predictor."""
+        if self.hparams.encoder == "supervised":
+            self.actor.encoder.load_state_dict(predictor.state_dict())
 
     @torch.no_grad()
     def encode(self, pixels: np.ndarray) -> Tensor:
@@ -118,29 +137,53 @@ class AsymmetricSAC(ManualModule):
         """Actions for observations as an environment gives them: uint8 (n, K, H, W, 3) to float32 (n, nu)."""
         return self.actor(self.encode(pixels), deterministic)[0].cpu().numpy()
 
-    def training_step(self, batch: dict[str, Tensor], index: int) -> None:
-        """One environment step's updates: ``batch`` is (updates, minibatch, ...)."""
+    def remember(self, pixels: np.ndarray) -> dict[str, np.ndarray]:
+        """What replay keeps of observations: images, or f(o) as ``observation`` with the images beside it."""
+        if self.hparams.encoder == "learned":
+            return {"observation": pixels}
+        return {"observation": self.encode(pixels).cpu().numpy(), "pixels": pixels}
+
+    @torch.no_grad()
+    def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
+        """Sampled actions for what :meth:`remember` returned."""
+        seen = remembered["observation"]
+        features = self.encode(seen) if self.hparams.encoder == "learned" else torch.from_numpy(seen).to(self.device)
+        return self.actor(features)[0].cpu().numpy()
+
+    def training_step(self, batch: dict[str, dict[str, Tensor]], index: int) -> None:
+        """One environment step's updates: ``transitions`` and ``images`` are (updates, minibatch, ...)."""
         metrics: dict[str, Tensor] = {}
-        for i in range(len(batch["rewards"])):
-            minibatch = {name: value[i] for name, value in batch.items()}
+        for minibatch in unstack(batch["transitions"]):
             metrics |= self.critic_step(minibatch)
             if self.updates % self.hparams.actor_every == 0:
                 metrics |= self.actor_step(minibatch)
             self.track_critic()
             self.updates += 1
+        for minibatch in unstack(batch.get("images", {})):
+            metrics |= self.estimator_step(minibatch)
         for schedule in self.lr_schedulers():
             schedule.step()
-        self.log_at(index, metrics)
+        self.log_at(index, metrics | self.trainer.datamodule.progress())
 
-    def features(self, pixels: Tensor) -> Tensor:
-        """f(o) of randomly cropped observations."""
+    def estimator_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Regress f(o) on the standardised source state, L1."""
+        f = self.actor.encoder
         with fast_precision(self.device, self.hparams.bf16):
-            return self.actor.encoder.encode(pixels, augment=True)
+            loss = f.error(stack_channels(batch["pixels"]), batch["state"])
+        self.descend(self.optimizers()[3], loss)
+        return {"policy/state_error": loss.detach()}
+
+    def features(self, remembered: Tensor) -> Tensor:
+        """f(o) of what replay keeps; images are cropped at random."""
+        if remembered.dtype != torch.uint8:
+            return remembered
+        with fast_precision(self.device, self.hparams.bf16):
+            return self.actor.encoder.encode(remembered, augment=True)
 
     def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Regress both critics on the soft Bellman target."""
         with torch.no_grad():
-            action, log_prob = self.actor(self.features(batch["next_pixels"]))
+            action, log_prob = self.actor(self.features(batch["next_observation"]))
             next_q = self.critic_target(batch["next_state"], action).amin(0)
             target = sac_target(
                 batch["rewards"], batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
@@ -152,8 +195,8 @@ class AsymmetricSAC(ManualModule):
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Improve the actor on α log π - min Q, then the temperature."""
-        _, opt_actor, opt_alpha = self.optimizers()
-        action, log_prob = self.actor(self.features(batch["pixels"]))
+        _, opt_actor, opt_alpha = self.optimizers()[:3]
+        action, log_prob = self.actor(self.features(batch["observation"]))
         self.critic.requires_grad_(False)
         q = self.critic(batch["state"], action).amin(0)
         loss = (self.log_alpha.exp().detach() * log_prob - q).mean()
@@ -172,11 +215,21 @@ class AsymmetricSAC(ManualModule):
         torch._foreach_lerp_(list(self.critic_target.parameters()), list(self.critic.parameters()), self.hparams.tau)
 
     def configure_optimizers(self) -> tuple[list, list]:
-        groups = (self.critic.parameters(), self.actor.parameters(), [self.log_alpha])
+        supervised = self.hparams.encoder == "supervised"
+        actor = self.actor.head.parameters() if supervised else self.actor.parameters()
+        groups = (self.critic.parameters(), actor, [self.log_alpha])
         optimizers = [torch.optim.Adam(g, lr=self.hparams.lr, fused=True) for g in groups]
+        if supervised:
+            optimizers.append(torch.optim.Adam(self.actor.encoder.parameters(), lr=self.hparams.lr_estimator, fused=True))
         total, floor = self.trainer.max_epochs * self.trainer.num_training_batches, self.hparams.lr_floor
 
         def linear(step: int) -> float:
             return max(floor, 1.0 - step / total)
 
         return optimizers, [torch.optim.lr_scheduler.LambdaLR(o, linear) for o in optimizers]
+
+
+def unstack(batch: dict[str, Tensor]) -> list[dict[str, Tensor]]:
+    """(updates, minibatch, ...) tensors to a list of minibatches."""
+    names = list(batch)
+    return [dict(zip(names, parts, strict=True)) for parts in zip(*batch.values(), strict=True)]

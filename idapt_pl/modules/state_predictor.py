@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import lightning as L
 import torch
 from torch import Tensor
 
 from idapt_pl.modules.training import fast_precision
-from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor
+from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import stack_channels
 
 
@@ -20,9 +18,9 @@ class StatePredictor(L.LightningModule):
         state_dim: size of the state vector; taken from the task.
         image_size: side of the images, pixels; taken from the data.
         frame_stack: K.
-        crop: side of the centre crop, pixels.
-        strides: of the 4 convolutions.
-        hidden: of the MLP.
+        vision: how images are looked at; the same for all modules.
+        rates: state component to the component it is the rate of; taken from the task.
+        dt: control period, s; taken from the task.
         lr: Adam.
         bf16: bfloat16 autocast.
     """
@@ -32,26 +30,21 @@ class StatePredictor(L.LightningModule):
         state_dim: int,
         image_size: int,
         frame_stack: int = 3,
-        crop: int | None = None,
-        strides: Sequence[int] = (2, 1, 1, 1),
-        hidden: Sequence[int] = (256, 256),
         lr: float = 3e-4,
         bf16: bool = True,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters()
-        encoder = PixelEncoder(image_size, frame_stack, crop, strides)
-        self.P_S = PixelStatePredictor(encoder, state_dim, hidden)
+        self.save_hyperparameters(ignore=["vision", "rates"])
+        self.P_S = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
 
     def on_fit_start(self) -> None:
         self.P_S.fit_scale(torch.from_numpy(self.trainer.datamodule.data.labels))
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
         with fast_precision(self.device, self.hparams.bf16):
-            predicted = self.P_S(stack_channels(batch["pixels"]))
-        error = (predicted - self.P_S.standardise(batch["state"])).abs()
-        self.log("state_predictor/l1", error.mean(), prog_bar=True)
-        return error.mean()
+            error = self.P_S.error(stack_channels(batch["pixels"]), batch["state"])
+        self.log("state_predictor/l1", error, prog_bar=True)
+        return error
 
     def configure_optimizers(self) -> dict:
         optimizer = torch.optim.Adam(self.parameters(), lr=self.hparams.lr, fused=True)

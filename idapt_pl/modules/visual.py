@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -13,7 +12,7 @@ from torch import Tensor
 from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.training import ManualModule, fast_precision
-from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor
+from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.nets.images import stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
@@ -41,9 +40,9 @@ class VisualTransformation(ManualModule):
         lr_generator: Adam, generators and P^T.
         lr_discriminator: Adam, discriminators.
         betas: Adam.
-        crop: side of the state predictors' centre crop, pixels.
-        strides: of the state predictors' convolutions.
-        hidden: of the state predictors' MLP.
+        vision: how images are looked at; the same for all modules.
+        rates: state component to the component it is the rate of; taken from the task.
+        dt: control period, s; taken from the task.
         bf16: bfloat16 autocast.
         images_every: batches between image grids in TensorBoard.
     """
@@ -66,14 +65,11 @@ class VisualTransformation(ManualModule):
         lr_generator: float = 2e-4,
         lr_discriminator: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
-        crop: int | None = None,
-        strides: Sequence[int] = (2, 1, 1, 1),
-        hidden: Sequence[int] = (256, 256),
         bf16: bool = True,
         images_every: int = 200,
     ) -> None:
         super().__init__()
-        self.save_hyperparameters()
+        self.save_hyperparameters(ignore=["vision", "rates"])
         if image_size % 4:
             raise ValueError(f"image_size must be divisible by 4 for the ResNet generator, got {image_size}")
         channels = 3 if translate == "frame" else 3 * frame_stack
@@ -83,7 +79,7 @@ class VisualTransformation(ManualModule):
         self.D_S = PatchDiscriminator(channels, discriminator_width)
         self.P_T = None
         if state_dim:
-            self.P_T = PixelStatePredictor(PixelEncoder(image_size, frame_stack, crop, strides), state_dim, hidden)
+            self.P_T = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
         self.pools = {"source": ImagePool(pool_size), "target": ImagePool(pool_size)}
 
     @property
@@ -147,19 +143,19 @@ class VisualTransformation(ManualModule):
             )
         if self.P_T is not None and w.state_weight:
             translated = self.whole_stack(fake_T, out_G[len(out_G) - len(older) :])
-            error = self.P_T(translated) - self.P_T.standardise(source["state"])
-            parts["state"] = w.state_weight * error.abs().mean()
+            parts["state"] = w.state_weight * self.P_T.error(translated, source["state"])
         return fake_S, fake_T, parts
 
     def older_frames(self, source: dict[str, Tensor]) -> Tensor:
-        """The frames that only state reconstruction needs: all but the newest when G works frame by frame."""
-        needs = self.frames == 1 and self.P_T is not None and self.hparams.state_weight
-        pixels = source["pixels"][:, :-1] if needs else source["pixels"][:, :0]
-        return to_float(pixels).flatten(0, 1)
+        """The frames that only state reconstruction needs: all but the newest, if P^T looks at a stack that G does not."""
+        needs = self.frames == 1 and self.P_T is not None and not self.P_T.rates and self.hparams.state_weight
+        if not needs:
+            return stack_channels(source["pixels"][:0, : self.frames])
+        return to_float(source["pixels"][:, :-1]).flatten(0, 1)
 
     def whole_stack(self, newest: Tensor, older: Tensor) -> Tensor:
         """Translated stack (B, 3K, H, W) from its newest frame and the older ones."""
-        if self.frames > 1:
+        if not len(older):
             return newest
         older = older.unflatten(0, (len(newest), -1))
         return torch.cat([older, newest[:, None]], 1).flatten(1, 2)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float, UInt8
@@ -10,6 +12,9 @@ from torch import Tensor, nn
 
 from idapt_pl.nets.images import center_crop, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
+
+
+Pool = Literal["flatten", "keypoints"]
 
 
 def orthogonal_init(module: nn.Module) -> None:
@@ -24,6 +29,21 @@ def orthogonal_init(module: nn.Module) -> None:
         nn.init.orthogonal_(module.weight.data[:, :, mid, mid], nn.init.calculate_gain("relu"))
 
 
+class Keypoints(nn.Module):
+    """Spatial soft-argmax: the expected position of each channel's activation (Levine et al. 2016, sec. 5.1)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.log_sharpness = nn.Parameter(torch.ones(()))
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b two_c"]:
+        """Column then row of every channel, -1..1."""
+        x = x.float()
+        p = (x.flatten(2) * self.log_sharpness.exp()).softmax(-1).view_as(x)
+        cols, rows = (torch.linspace(-1, 1, n, device=x.device) for n in (x.shape[-1], x.shape[-2]))
+        return torch.cat([(p.sum(2) * cols).sum(-1), (p.sum(3) * rows).sum(-1)], -1)
+
+
 class PixelEncoder(nn.Module):
     """f: a frame stack to a feature vector. 4 convolutions (32 channels, 3x3), linear, LayerNorm, tanh.
 
@@ -34,6 +54,8 @@ class PixelEncoder(nn.Module):
         strides: of the convolutions.
         channels: of the convolutions.
         features: size of f(o).
+        pool: ``flatten`` (the paper) or ``keypoints``, where in the image each channel is active: positions
+            finer than a pixel from few images.
     """
 
     def __init__(
@@ -44,6 +66,7 @@ class PixelEncoder(nn.Module):
         strides: Sequence[int] = (2, 1, 1, 1),
         channels: int = 32,
         features: int = 50,
+        pool: Pool = "flatten",
     ) -> None:
         super().__init__()
         self.crop = crop or image_size
@@ -54,49 +77,93 @@ class PixelEncoder(nn.Module):
         side = self.crop
         for stride in strides:
             side = (side - 3) // stride + 1
-        self.head = nn.Sequential(nn.Linear(channels * side * side, features), nn.LayerNorm(features), nn.Tanh())
+        self.pool = {"flatten": nn.Flatten, "keypoints": Keypoints}[pool]()
+        width = channels * side * side if pool == "flatten" else 2 * channels
+        self.head = nn.Sequential(nn.Linear(width, features), nn.LayerNorm(features), nn.Tanh())
         self.features = features
         self.apply(orthogonal_init)
 
     def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b f"]:
         """Features of cropped images, -1..1."""
         x = images
-        for conv in self.convs:
+        for conv in self.convs[:-1]:
             x = conv(x).relu()
-        return self.head(x.flatten(1)).float()
+        x = self.convs[-1](x)  # keypoints take signed activations
+        return self.head(self.pool(x) if isinstance(self.pool, Keypoints) else self.pool(x.relu())).float()
 
     def encode(self, pixels: UInt8[Tensor, "b k h w 3"], augment: bool = False) -> Float[Tensor, "b f"]:
         """Features of frame stacks; ``augment`` crops at random."""
-        crop = random_crop if augment else center_crop
-        return self(crop(stack_channels(pixels), self.crop))
+        if augment:
+            return self(stack_channels(random_crop(pixels, self.crop)))
+        return self(center_crop(stack_channels(pixels), self.crop))
 
 
 class PixelStatePredictor(nn.Module):
     """P: a frame stack to the state. Encoder and a 2-layer MLP, predicting standardised states.
 
-    ``mean`` and ``std`` (buffers, set from data by :meth:`standardise`) turn predictions into units.
+    With ``rates`` it predicts from single frames what a single frame shows, and takes the rates of change
+    from differences between frames: s_i' ≈ (3/2 (s_i(t) - s_i(t-1)) - 1/2 (s_i(t-1) - s_i(t-2))) / dt, the
+    second-order backward difference. Errors that neighbouring frames share then cancel.
+
+    ``mean`` and ``std`` (buffers, set from data by :meth:`fit_scale`) turn predictions into units.
+
+    Args:
+        encoder: for K frames, or for one frame if there are ``rates``.
+        state_dim: size of the state.
+        hidden: of the MLP.
+        rates: state component to the component it is the rate of; None predicts all from the whole stack.
+        dt: control period, s.
     """
 
-    def __init__(self, encoder: PixelEncoder, state_dim: int, hidden: Sequence[int] = (256, 256)) -> None:
+    def __init__(
+        self,
+        encoder: PixelEncoder,
+        state_dim: int,
+        hidden: Sequence[int] = (256, 256),
+        rates: dict[int, int] | None = None,
+        dt: float = 1.0,
+    ) -> None:
         super().__init__()
-        self.encoder = encoder
-        self.mlp = mlp(encoder.features, hidden, state_dim)
+        self.encoder, self.rates, self.dt = encoder, rates or {}, dt
+        self.shown = [i for i in range(state_dim) if i not in self.rates]
+        self.mlp = mlp(encoder.features, hidden, len(self.shown))
         self.mlp.apply(orthogonal_init)
         self.register_buffer("mean", torch.zeros(state_dim))
         self.register_buffer("std", torch.ones(state_dim))
-
-    def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b s"]:
-        """Standardised state of uncropped image stacks, -1..1."""
-        return self.mlp(self.encoder(center_crop(images, self.encoder.crop))).float()
 
     @property
     def features(self) -> int:
         """Size of :meth:`encode`."""
         return len(self.mean)
 
-    def encode(self, pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b s"]:
-        """The standardised state as features, for an action transformation on estimated states."""
-        return self(stack_channels(pixels))
+    def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b s"]:
+        """Standardised state of uncropped image stacks, -1..1."""
+        images = center_crop(images, self.encoder.crop)
+        if not self.rates:
+            return self.mlp(self.encoder(images)).float()
+        frames = images.unflatten(1, (-1, 3))
+        k = frames.shape[1]
+        shown = self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, k))  # (b, k, shown)
+        state = shown.new_zeros(len(images), self.features)
+        state[:, self.shown] = shown[:, -1]
+        step = shown.diff(dim=1)  # (b, k-1, shown)
+        slope = 1.5 * step[:, -1] - 0.5 * step[:, -2] if k > 2 else step[:, -1]
+        for rate, of in self.rates.items():
+            per_second = slope[:, self.shown.index(of)] * self.std[of] / self.dt
+            state[:, rate] = (per_second - self.mean[rate]) / self.std[rate]
+        return state
+
+    def error(self, images: Float[Tensor, "b c h w"], state: Float[Tensor, "b s"]) -> Float[Tensor, ""]:
+        """Mean absolute error on standardised states; with ``rates``, of what the newest frame shows."""
+        target = self.standardise(state)
+        if not self.rates:
+            return (self(images) - target).abs().mean()
+        newest = center_crop(images[:, -3:], self.encoder.crop)
+        return (self.mlp(self.encoder(newest)).float() - target[:, self.shown]).abs().mean()
+
+    def encode(self, pixels: UInt8[Tensor, "b k h w 3"], augment: bool = False) -> Float[Tensor, "b s"]:
+        """The estimated state, standardised, as features; ``augment`` crops at random."""
+        return self(stack_channels(random_crop(pixels, self.encoder.crop) if augment else pixels))
 
     def predict(self, pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b s"]:
         """State in its own units."""
@@ -111,3 +178,32 @@ class PixelStatePredictor(nn.Module):
         self.mean.copy_(states.mean(0))
         std = states.std(0)
         self.std.copy_(torch.where(std > 1e-6, std, torch.ones_like(std)))
+
+
+@dataclass(frozen=True)
+class Vision:
+    """How the policy and the state predictors look at images, the same for all.
+
+    Args:
+        crop: side of the crop, pixels (random when the policy trains, else centred); default the whole image.
+        strides: of the 4 convolutions.
+        pool: ``flatten`` (the paper) or ``keypoints`` (where in the image each channel is active).
+        rates: velocities ``learned`` from the stack (the paper) or taken as ``differences`` between frames.
+    """
+
+    crop: int | None = None
+    strides: tuple[int, int, int, int] = (2, 1, 1, 1)
+    pool: Pool = "flatten"
+    rates: Literal["learned", "differences"] = "learned"
+
+    def encoder(self, image_size: int, frame_stack: int) -> PixelEncoder:
+        """A new encoder."""
+        return PixelEncoder(image_size, frame_stack, self.crop, self.strides, pool=self.pool)
+
+    def predictor(
+        self, image_size: int, frame_stack: int, state_dim: int, rates: dict[int, int], dt: float
+    ) -> PixelStatePredictor:
+        """A new state predictor."""
+        if self.rates == "learned" or not rates:
+            return PixelStatePredictor(self.encoder(image_size, frame_stack), state_dim)
+        return PixelStatePredictor(self.encoder(image_size, 1), state_dim, rates=rates, dt=dt)

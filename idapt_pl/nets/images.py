@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 
@@ -17,23 +17,20 @@ def to_pixels(images: Float[Tensor, "... c h w"]) -> UInt8[Tensor, "... h w c"]:
     return images.float().add(1.0).mul_(127.5).round_().clamp_(0, 255).to(torch.uint8).movedim(-3, -1)
 
 
-def center_crop(images: Float[Tensor, "*b c h w"], size: int) -> Float[Tensor, "*b c size size"]:
-    """The middle ``size`` x ``size`` pixels."""
+def stack_channels(pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b c h w"]:
+    """A stack of K frames as one image of 3K channels, -1..1."""
+    return to_float(pixels).flatten(1, 2)
+
+
+def center_crop(images: Shaped[Tensor, "*b h w"], size: int) -> Shaped[Tensor, "*b size size"]:
+    """The middle ``size`` x ``size`` pixels of the last two dimensions."""
     top, left = (images.shape[-2] - size) // 2, (images.shape[-1] - size) // 2
     return images[..., top : top + size, left : left + size]
 
 
-def random_crop(images: Float[Tensor, "b c h w"], size: int) -> Float[Tensor, "b c size size"]:
-    """A random ``size`` x ``size`` window, drawn for each image of the batch."""
-    b, _, h, w = images.shape
-    top = torch.randint(h - size + 1, (b, 1, 1), device=images.device)
-    left = torch.randint(w - size + 1, (b, 1, 1), device=images.device)
-    rows = (top + torch.arange(size, device=images.device)[None, :, None]).expand(b, size, size)
-    cols = (left + torch.arange(size, device=images.device)[None, None, :]).expand(b, size, size)
-    batch = torch.arange(b, device=images.device)[:, None, None]
-    return images.movedim(1, -1)[batch, rows, cols].movedim(-1, 1)
-
-
-def stack_channels(pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b c h w"]:
-    """A stack of K frames as one image of 3K channels, -1..1."""
-    return to_float(pixels).flatten(1, 2)
+def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int) -> UInt8[Tensor, "b k size size 3"]:
+    """A random ``size`` x ``size`` window for each stack; on bytes, before they become four times as many."""
+    b, _, h, w, _ = pixels.shape
+    tops, lefts = (torch.randint(n - size + 1, (b,)).tolist() for n in (h, w))
+    windows = [p[:, t : t + size, s : s + size] for p, t, s in zip(pixels, tops, lefts, strict=True)]
+    return torch.stack(windows)

@@ -19,6 +19,7 @@ class InvertedPendulum(Task):
     name = "inverted_pendulum"
     frame_skip = 2
     horizon = 1000
+    rates = {2: 0, 3: 1}
 
     def base(self) -> mujoco.MjSpec:
         xml = importlib.resources.files("gymnasium") / "envs/mujoco/assets/inverted_pendulum.xml"

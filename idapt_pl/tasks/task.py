@@ -18,6 +18,7 @@ class Task(ABC):
         name: as on the command line.
         frame_skip: physics steps per control step.
         horizon: control steps after which an episode is cut (a time limit, not an end of the task).
+        rates: state component to the component it is the rate of change of.
         metric: what `evaluate` reports, ``"return"`` or ``"success"``.
     """
 
@@ -25,6 +26,7 @@ class Task(ABC):
     frame_skip: ClassVar[int]
     horizon: ClassVar[int]
     metric: ClassVar[str] = "return"
+    rates: ClassVar[dict[int, int]] = {}
 
     @abstractmethod
     def base(self) -> mujoco.MjSpec:

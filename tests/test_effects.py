@@ -1,0 +1,283 @@
+"""Effects: each does what it says on a small model, and nothing else; their YAML form is complete."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from idapt_pl.domains import EFFECTS, Domain, effect_from_dict
+from idapt_pl.domains.effects import (
+    ActuatorGain,
+    BodyMass,
+    ContactFriction,
+    GravityDirection,
+    JointArmature,
+    JointDamping,
+    JointFrictionloss,
+    Numerics,
+)
+from idapt_pl.domains.looks import CameraPose, Color, Light, Texture, orbit_axes
+
+MODEL = """
+<mujoco>
+  <asset><material name="paint" rgba="0 1 0 1"/></asset>
+  <worldbody>
+    <camera name="view" pos="0 -3 1"/>
+    <light name="lamp" pos="0 0 3"/>
+    <geom name="floor" type="plane" size="5 5 1"/>
+    <body name="block" pos="0 0 1"><joint name="slide" type="slide" axis="1 0 0" damping="0.5"/>
+      <geom name="box" type="box" size="0.1 0.2 0.3" material="paint"/>
+      <geom name="knob" type="sphere" size="0.05" pos="0.1 0 0.3" mass="0.7"/>
+      <body name="link" pos="0 0 0.5"><joint name="hinge" axis="0 1 0"/>
+        <inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.2 0.3"/>
+        <geom name="rod" type="capsule" size="0.05" fromto="0 0 0 0 0 0.4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="slide" gear="2"/>
+    <position name="hold" joint="hinge" kp="30"/></actuator>
+</mujoco>"""
+
+EXAMPLES = [
+    BodyMass("block", 7.0),
+    JointDamping("hinge", 1.5),
+    JointFrictionloss("slide", 0.3),
+    JointArmature("*", 0.02),
+    ActuatorGain("push", 0.8),
+    ContactFriction("floor", 0.1),
+    GravityDirection("world", tilt_x=0.1, tilt_y=-0.2),
+    Numerics("world", timestep=0.001, integrator="implicitfast"),
+    CameraPose("view", azimuth=90, elevation=-45, distance=2, lookat=(0, 0, 1), fovy=30),
+    Light("headlight", diffuse=(0.1, 0.2, 0.3), ambient=(0, 0, 0.5)),
+    Color("box", (0.1, 0.2, 0.3, 1)),
+    Texture("sky", flat=(0.2, 0.3, 0.4)),
+]
+
+
+def compiled(*effects):
+    return Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), effects).spec().compile()
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return compiled()
+
+
+def changed(a, b):
+    """Names of the model arrays that differ."""
+    pairs = {k: (getattr(a, k), getattr(b, k)) for k in dir(a) if isinstance(getattr(a, k, None), np.ndarray)}
+    return {k for k, (x, y) in pairs.items() if x.shape != y.shape or not np.array_equal(x, y)}
+
+
+def test_every_effect_has_an_example_here():
+    assert {e.name for e in EXAMPLES} == set(EFFECTS)
+
+
+@pytest.mark.parametrize("effect", EXAMPLES, ids=lambda e: e.name)
+def test_effect_survives_yaml_and_json(effect):
+    assert effect_from_dict(yaml.safe_load(yaml.safe_dump(effect.to_dict()))) == effect
+    assert effect_from_dict(json.loads(json.dumps(effect.to_dict()))) == effect
+
+
+@pytest.mark.parametrize("effect", EXAMPLES, ids=lambda e: e.name)
+def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nominal):
+    once, again = compiled(effect), compiled(effect_from_dict(effect.to_dict()))
+    assert changed(once, again) == set()
+    headlight = {k: getattr(once.vis.headlight, k).tolist() for k in ("diffuse", "ambient")}
+    nominal_headlight = {k: getattr(nominal.vis.headlight, k).tolist() for k in ("diffuse", "ambient")}
+    options = (once.opt.timestep, once.opt.integrator, *once.opt.gravity)
+    same_options = options == (nominal.opt.timestep, nominal.opt.integrator, *nominal.opt.gravity)
+    assert changed(nominal, once) or headlight != nominal_headlight or not same_options
+
+
+DERIVED = {
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+    "actuator_acc0",
+    "actuator_length0",
+}
+MASS = DERIVED | {"body_mass", "body_inertia"}
+
+
+@pytest.mark.parametrize("body", ["block", "link"])
+def test_body_mass_scales_mass_and_inertia_together_and_leaves_the_centre_of_mass(body, nominal):
+    model = compiled(BodyMass(body, 7.0))
+    before, after = nominal.body(body), model.body(body)
+    assert after.mass[0] == pytest.approx(7.0)
+    np.testing.assert_allclose(after.inertia, before.inertia * 7.0 / before.mass[0], rtol=1e-9)
+    np.testing.assert_allclose(after.ipos, before.ipos, atol=1e-12)
+    np.testing.assert_allclose(after.iquat, before.iquat, atol=1e-9)
+    others = [b for b in range(nominal.nbody) if b != before.id]
+    np.testing.assert_array_equal(model.body_mass[others], nominal.body_mass[others])
+
+
+def test_body_mass_for_all_bodies_sets_each_of_them():
+    assert compiled(BodyMass("*", 7.0)).body_mass.tolist() == pytest.approx([0.0, 7.0, 7.0])
+
+
+def test_body_mass_for_all_bodies_reaches_those_without_a_name():
+    xml = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    model = Domain("test", lambda: mujoco.MjSpec.from_string(xml), (BodyMass("*", 3.0),)).spec().compile()
+    assert model.body_mass[1] == pytest.approx(3.0)
+
+
+def test_body_mass_of_a_massless_body_is_an_error():
+    with pytest.raises(ValueError, match=r"world.*no mass"):
+        compiled(BodyMass("world", 1.0))
+
+
+@pytest.mark.parametrize(
+    ("effect", "field", "values"),
+    [
+        (JointDamping("hinge", 1.5), "dof_damping", [0.5, 1.5]),
+        (JointDamping("*", 1.5), "dof_damping", [1.5, 1.5]),
+        (JointFrictionloss("slide", 0.3), "dof_frictionloss", [0.3, 0.0]),
+        (JointArmature("hinge", 0.02), "dof_armature", [0.0, 0.02]),
+    ],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_joint_effect_sets_its_field_where_asked(effect, field, values, nominal):
+    model = compiled(effect)
+    np.testing.assert_allclose(getattr(model, field), values)
+    assert changed(nominal, model) <= {field} | DERIVED
+
+
+def test_actuator_gain_scales_what_a_command_does(nominal):
+    model = compiled(ActuatorGain("push", 0.8))
+
+    def force(m):
+        data = mujoco.MjData(m)
+        data.ctrl[0] = 3.0
+        mujoco.mj_forward(m, data)
+        return data.qfrc_actuator[0]
+
+    assert force(nominal) == pytest.approx(6.0) and force(model) == pytest.approx(0.8 * 6.0)
+    assert changed(nominal, model) <= {"actuator_gainprm"} | DERIVED
+
+
+def test_contact_friction_sets_sliding_friction_alone(nominal):
+    model = compiled(ContactFriction("floor", 0.1))
+    assert model.geom("floor").friction.tolist() == [0.1, *nominal.geom("floor").friction[1:].tolist()]
+    assert changed(nominal, model) == {"geom_friction"}
+
+
+def test_gravity_direction_turns_gravity_and_keeps_its_strength(nominal):
+    g = np.linalg.norm(nominal.opt.gravity)
+    np.testing.assert_allclose(
+        compiled(GravityDirection("world", 0.0, 0.0)).opt.gravity, [0, 0, -g], atol=1e-12
+    )
+    tilted = compiled(GravityDirection("world", 0.3, -0.2)).opt.gravity
+    assert np.linalg.norm(tilted) == pytest.approx(g)
+    about_x = compiled(GravityDirection("world", 0.3, 0.0)).opt.gravity
+    np.testing.assert_allclose(about_x, [0, g * np.sin(0.3), -g * np.cos(0.3)], atol=1e-12)
+
+
+def test_numerics_sets_time_step_and_integrator():
+    option = compiled(Numerics("world", 0.001, "implicitfast")).opt
+    assert option.timestep == 0.001 and option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+def test_numerics_lists_the_integrators():
+    with pytest.raises(ValueError, match=r"Euler, RK4, implicit.*'Verlet'"):
+        compiled(Numerics("world", 0.001, "Verlet"))
+
+
+def test_camera_pose_looks_at_its_point_from_its_distance(nominal):
+    model = compiled(
+        CameraPose("view", azimuth=30, elevation=-40, distance=2, lookat=(0.1, 0.2, 0.3), fovy=30)
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    forward = -data.cam_xmat[0].reshape(3, 3)[:, 2]  # a camera looks along its -z
+    np.testing.assert_allclose(data.cam_xpos[0] + 2 * forward, [0.1, 0.2, 0.3], atol=1e-9)
+    np.testing.assert_allclose(forward, orbit_axes(30, -40)[0], atol=1e-9)
+    assert forward[2] < 0 and model.cam_fovy[0] == 30
+    assert all(name.startswith("cam_") for name in changed(nominal, model))
+
+
+def test_light_on_the_headlight_sets_only_given_channels(nominal):
+    model = compiled(Light("headlight", diffuse=(0.1, 0.2, 0.3)))
+    np.testing.assert_allclose(model.vis.headlight.diffuse, [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_array_equal(model.vis.headlight.ambient, nominal.vis.headlight.ambient)
+
+
+def test_light_edits_a_lamp_that_is_there_and_adds_one_that_is_not():
+    edited = compiled(Light("lamp", diffuse=(0.1, 0.2, 0.3), position=(1, 2, 3)))
+    assert edited.nlight == 1 and edited.light_pos[0].tolist() == [1, 2, 3]
+    added = compiled(Light("another", diffuse=(0.1, 0.2, 0.3), position=(1, 2, 3)))
+    assert added.nlight == 2 and added.light("another").dir.tolist() == [0, 0, -1]
+    np.testing.assert_allclose(added.light("another").diffuse, [0.1, 0.2, 0.3], rtol=1e-6)
+
+
+def test_color_shows_even_on_a_geom_that_had_a_material(nominal):
+    model = compiled(Color("box", (0.1, 0.2, 0.3, 1)))
+    np.testing.assert_allclose(model.geom("box").rgba, [0.1, 0.2, 0.3, 1], rtol=1e-6)
+    assert model.geom("box").matid[0] == -1
+    assert changed(nominal, model) <= {"geom_rgba", "geom_matid"}
+
+
+def test_texture_paints_the_sky_once_even_if_applied_twice():
+    model = compiled(Texture("sky", dm_control="skybox.xml"), Texture("sky", flat=(0.2, 0.4, 0.6)))
+    assert model.ntex == 1 and model.tex_type[0] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    assert np.unique(model.tex_data.reshape(-1, 3), axis=0).tolist() == [[51, 102, 153]]
+
+
+# --- errors name what is known ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"effect": "body_masss", "target": "block"}, "unknown effect 'body_masss'.*body_mass, "),
+        (
+            {"effect": "body_mass", "target": "block", "parameters": {"kg": 3}},
+            r"among \['mass'\], got \['kg'\]",
+        ),
+        ({"effect": "body_mass", "target": "block", "params": {"mass": 3}}, "unknown key.*params"),
+        ({"target": "block"}, "keys effect, target, parameters"),
+        ("body_mass", "keys effect, target, parameters"),
+        (
+            {"effect": "body_mass", "target": "block", "parameters": {"mass": "heavy"}},
+            "must be numeric, got 'heavy'",
+        ),
+        (
+            {"effect": "body_mass", "target": "block", "parameters": {"mass": -1.0}},
+            r"mass = -1.0 kg is outside \[",
+        ),
+        (
+            {"effect": "body_mass", "target": "block", "parameters": {"mass": float("nan")}},
+            "mass = nan kg is outside",
+        ),
+    ],
+)
+def test_wrong_entries_are_refused_with_what_is_known(entry, message):
+    with pytest.raises(ValueError, match=message):
+        effect_from_dict(entry)
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (BodyMass("blok", 1.0), "named 'blok'; it has: .*block, link"),
+        (JointDamping("hing", 1.0), "no joint named 'hing'; it has: slide, hinge"),
+        (ActuatorGain("pull", 1.0), "no actuator named 'pull'; it has: push, hold"),
+        (Color("bix", (0, 0, 0, 1)), "no geom named 'bix'; it has: floor, box, knob, rod"),
+        (CameraPose("eye", 0, 0, 1, (0, 0, 0)), "no camera named 'eye'; it has: view"),
+        (Texture("floor", flat=(0, 0, 0)), "'sky', got 'floor'"),
+    ],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_a_target_that_does_not_exist_is_an_error_that_lists_those_that_do(effect, message):
+    with pytest.raises(ValueError, match=message):
+        compiled(effect)
+
+
+def test_later_effects_win_and_with_effects_leaves_the_original_alone():
+    base = Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), (BodyMass("link", 5.0),))
+    heavier = base.with_effects(BodyMass("link", 9.0))
+    assert base.spec().compile().body("link").mass[0] == pytest.approx(5.0)
+    assert heavier.spec().compile().body("link").mass[0] == pytest.approx(9.0)

@@ -1,0 +1,290 @@
+"""Algorithm 1 as a whole, tiny: what it leaves behind, its accounting, and exact resumption."""
+
+import json
+import shutil
+
+import h5py
+import lightning as L
+import numpy as np
+import pytest
+import torch
+from conftest import TINY
+from torch import nn
+from torch.utils.data import DataLoader
+
+from cli.main import main
+from datamodules import read_trajectories
+from idapt_pl.stage import Stages, stage_seed
+
+STEPS = TINY["schedule.grounding_steps"]
+
+
+def weights(checkpoint):
+    return torch.load(checkpoint, weights_only=True)["state_dict"]
+
+
+def assert_same_weights(a, b):
+    a, b = weights(a), weights(b)
+    assert a.keys() == b.keys()
+    different = [k for k in a if not torch.equal(a[k], b[k])]
+    assert different == []
+
+
+def final_files(run):
+    """Everything in a run folder that later commands read, relative."""
+    wanted = ("final.ckpt", ".h5", "evaluation.json", "direct_transfer.json")
+    return sorted(str(p.relative_to(run)) for p in run.rglob("*") if str(p).endswith(wanted))
+
+
+# --- stages ---------------------------------------------------------------------------------------------
+
+
+def test_stage_seed_is_stable_and_differs_by_run_step_and_stage():
+    assert stage_seed(0, 1, "visual") == stage_seed(0, 1, "visual") == 2091422742
+    seeds = {
+        stage_seed(s, k, n) for s in range(5) for k in range(5) for n in ("visual", "policy", "dynamics")
+    }
+    assert len(seeds) == 75 and all(0 <= s < 2**31 for s in seeds)
+
+
+class Regression(L.LightningModule):
+    """Enough of a module for a stage; its batches come from the global generator, as dropout would."""
+
+    def __init__(self, fail_at=None):
+        super().__init__()
+        self.fail_at, self.net = fail_at, nn.Linear(3, 1)
+
+    def training_step(self, batch, index):
+        if index == self.fail_at:
+            raise RuntimeError("power failure")
+        return (self.net(batch + torch.randn_like(batch)) - 1).square().mean()
+
+    def configure_optimizers(self):
+        return torch.optim.Adam(self.parameters(), lr=0.1)
+
+
+class Ones(L.LightningDataModule):
+    def train_dataloader(self):
+        return DataLoader(torch.ones(40, 3), batch_size=4)
+
+
+@pytest.fixture
+def stages(tmp_path, trainer):
+    def make(run):
+        return Stages(tmp_path / run, 0, lambda folder, batches: trainer(batches))
+
+    return make
+
+
+def fit(stages, fail_at=None):
+    return stages.fit(1, "toy", lambda: Regression(fail_at), lambda module, seed, device: Ones(), 10)
+
+
+def test_a_stage_does_not_depend_on_what_ran_before_it(stages):
+    first = fit(stages("a"))
+    torch.rand(17)
+    assert torch.equal(fit(stages("b")).net.weight, first.net.weight)
+
+
+def test_a_stage_that_failed_half_way_starts_over_and_ends_the_same(stages):
+    with pytest.raises(RuntimeError, match="power failure"):
+        fit(stages("a"), fail_at=5)
+    assert not (stages("a").folder(1) / "toy" / "final.ckpt").exists()
+    assert torch.equal(fit(stages("a")).net.weight, fit(stages("b")).net.weight)
+
+
+def test_a_finished_stage_is_loaded_and_not_fitted_again(stages):
+    module = fit(stages("a"))
+    again = fit(stages("a"), fail_at=0)
+    assert torch.equal(again.net.weight, module.net.weight)
+
+
+def test_recording_is_done_once_and_reports_the_files_own_count(stages, numbered):
+    made = []
+
+    def make(seed):
+        made.append(seed)
+        return numbered([4, 3])
+
+    for _ in range(2):
+        path, steps = stages("a").record(2, "target", make)
+    assert made == [stage_seed(0, 2, "target")] and steps == 7 and read_trajectories(path).total_steps == 7
+
+
+# --- the whole loop -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def summary(finished_run):
+    return json.loads((finished_run / "summary.json").read_text())
+
+
+def test_summary_keeps_the_contract(summary):
+    types = {"task": str, "target": str, "seed": int, "metric": str, "episodes": int,
+             "direct_transfer": float, "grounded": list, "target_interactions": int, "wall_s": float, "stages": list}  # fmt: skip
+    assert {k: type(summary[k]) for k in types} == types
+    assert summary["oracle"] is None, "not asked for"
+    assert (summary["task"], summary["seed"]) == ("inverted_pendulum", TINY["seed"])
+    assert summary["metric"] in ("return", "success") and summary["episodes"] == TINY["episodes"]
+    assert len(summary["grounded"]) == STEPS and all(np.isfinite(summary["grounded"]))
+    assert all(set(s) == {"step", "stage", "wall_s"} for s in summary["stages"])
+
+
+def test_every_stage_of_algorithm_1_ran_in_every_grounding_step(summary):
+    ran = {(s["step"], s["stage"]) for s in summary["stages"]}
+    start = {
+        "source",
+        "target",
+        "state_predictor",
+        "source_policy",
+        "direct_transfer",
+        "visual",
+        "policy",
+        "evaluation",
+    }
+    step = {"target", "source", "state_predictor", "visual", "dynamics", "policy", "evaluation"}
+    assert ran == {(0, s) for s in start} | {(k, s) for k in range(1, STEPS + 1) for s in step}
+
+
+def test_target_interactions_are_those_of_the_files_and_of_the_schedule(finished_run, summary):
+    in_files = 0
+    for path in finished_run.glob("step_*/target.h5"):
+        with h5py.File(path) as f:
+            in_files += int(f.attrs["total_steps"])
+    expected = TINY["schedule.images"] + STEPS * TINY["schedule.interactions"]
+    ledger = json.loads((finished_run / "ledger.json").read_text())
+    training = [e["count"] for e in ledger["entries"] if e["purpose"] == "training"]
+    assert in_files == expected == sum(training) == ledger["training_total"] == summary["target_interactions"]
+
+
+def test_target_files_hold_images_and_actions_only_and_source_files_states_too(finished_run):
+    for k in range(STEPS + 1):
+        for name, observations in (("target", {"pixels"}), ("source", {"pixels", "state"})):
+            for e in read_trajectories(finished_run / f"step_{k:02d}/{name}.h5"):
+                assert set(e.observations) == observations
+                assert (e.rewards is None) == (name == "target")
+
+
+def test_run_folder_holds_what_the_contract_lists(finished_run):
+    for name in ("config.yaml", "run.json", "ledger.json", "summary.json"):
+        assert (finished_run / name).stat().st_size > 0
+    assert list(finished_run.rglob("events.out.tfevents*")) and list(finished_run.rglob("metrics.csv"))
+    assert not list(finished_run.rglob("*.tmp"))
+    provenance = json.loads((finished_run / "run.json").read_text())
+    assert {"seed", "git_commit", "versions", "device"} <= set(provenance)
+
+
+def test_learning_changed_each_module(finished_run):
+    def path(k, stage):
+        return finished_run / f"step_{k:02d}/{stage}/final.ckpt"
+
+    for stage in ("state_predictor", "visual", "policy"):
+        a, b = weights(path(0, stage)), weights(path(1, stage))
+        assert any(not torch.equal(a[k], b[k]) for k in a), f"{stage} was not trained in step 1"
+
+
+def test_rerunning_a_finished_run_changes_nothing(finished_run, tiny_args):
+    def contents():
+        return {
+            p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file() and p.name not in ("run.json",)
+        }
+
+    before = contents()
+    assert main(["fit", *tiny_args(finished_run)]) == 0
+    after = contents()
+    assert before.keys() == after.keys()
+    assert [p.name for p in before if before[p] != after[p]] == []
+
+
+def test_the_kept_config_alone_resumes_the_run(finished_run):
+    before = (finished_run / "summary.json").read_bytes()
+    assert main(["fit", "--config", str(finished_run / "config.yaml")]) == 0
+    assert (finished_run / "summary.json").read_bytes() == before
+
+
+def test_another_config_in_the_same_run_folder_is_refused_by_name_and_changes_nothing(
+    finished_run, tiny_args, capsys
+):
+    before = (finished_run / "config.yaml").read_text()
+    assert main(["fit", *tiny_args(finished_run, schedule__interactions=61)]) == 1
+    error = capsys.readouterr().err
+    assert "schedule.interactions" in error and str(finished_run) in error and "Traceback" not in error
+    assert (finished_run / "config.yaml").read_text() == before
+
+
+def kill_after_one(monkeypatch):
+    """From now on, the first thing that a run completes is the last."""
+
+    def killing(original):
+        def wrapped(self, step, stage, *args, **kwargs):
+            folder = self.folder(step)
+            done = [folder / stage / "final.ckpt", folder / f"{stage}.h5", folder / f"{stage}.json"]
+            was_done = any(p.exists() for p in done)
+            result = original(self, step, stage, *args, **kwargs)
+            if not was_done:
+                raise KeyboardInterrupt
+            return result
+
+        return wrapped
+
+    for name in ("fit", "record", "measure"):
+        monkeypatch.setattr(Stages, name, killing(getattr(Stages, name)))
+
+
+def test_a_run_killed_after_every_single_stage_ends_bitwise_like_the_uninterrupted_one(
+    finished_run, tiny_args, tmp_path, monkeypatch
+):
+    run, killed = tmp_path / "killed", 0
+    with monkeypatch.context() as patch:
+        kill_after_one(patch)
+        while main(["fit", *tiny_args(run)]) != 0:
+            killed += 1
+            assert killed < 100, "the run makes no progress"
+    assert killed == 8 + 7 * STEPS
+    assert final_files(run) == final_files(finished_run)
+    for name in final_files(run):
+        if name.endswith(".ckpt"):
+            assert_same_weights(run / name, finished_run / name)
+    ledger = [json.loads((r / "ledger.json").read_text()) for r in (run, finished_run)]
+    assert ledger[0] == ledger[1]
+
+
+def test_a_run_whose_last_step_was_lost_repeats_it_bitwise(finished_run, tiny_args, tmp_path):
+    run, last = tmp_path / "run", f"step_{STEPS:02d}"
+    shutil.copytree(finished_run, run)
+    shutil.rmtree(run / last)
+    config = (run / "config.yaml").read_text().replace(str(finished_run), str(run))
+    (run / "config.yaml").write_text(config)
+    assert main(["fit", *tiny_args(run)]) == 0
+    assert_same_weights(run / last / "policy/final.ckpt", finished_run / last / "policy/final.ckpt")
+
+
+@pytest.mark.slow
+def test_same_seed_same_run_and_another_seed_another(finished_run, tiny_args, tmp_path):
+    last = f"step_{STEPS:02d}/policy/final.ckpt"
+    assert main(["fit", *tiny_args(tmp_path / "same")]) == 0
+    assert_same_weights(tmp_path / "same" / last, finished_run / last)
+    assert main(["fit", *tiny_args(tmp_path / "other", seed=4)]) == 0
+    a, b = weights(tmp_path / "other" / last), weights(finished_run / last)
+    assert any(not torch.equal(a[k], b[k]) for k in a)
+
+
+@pytest.mark.slow
+def test_ablations_run(tiny_args, tmp_path):
+    """Without F, on the newest data only, features of the policy, and with the oracle reference."""
+    run = tmp_path / "ablation"
+    overrides = {
+        "schedule__grounding_steps": 1,
+        "schedule__action_transformation": "false",
+        "schedule__accumulate": "false",
+    }
+    assert main(["fit", *tiny_args(run, **overrides, oracle="true")]) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["oracle"] is not None and not (run / "step_01/dynamics").exists()
+    assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
+    paper = {
+        "schedule__grounding_steps": 1,
+        "feeding__garat_features": "policy",
+        "policy__encoder": "learned",
+    }
+    assert main(["fit", *tiny_args(tmp_path / "paper", **paper)]) == 0

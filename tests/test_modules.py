@@ -1,0 +1,393 @@
+"""The LightningModules learn, on tiny fixed data, in seconds."""
+
+import lightning as L
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.utils.data import DataLoader
+
+from datamodules import OnPolicyDataModule, ReplayBuffer, ReplayDataModule
+from idapt_pl.envs import GroundedEnv
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules.image_pool import ImagePool
+from idapt_pl.nets.images import to_float
+from idapt_pl.rollout import garat_rollout
+
+SIZE = 32
+SMALL = {"image_size": SIZE, "frame_stack": 2, "strides": (2, 2, 1, 1), "bf16": False}
+
+
+def mean(history, name, rows):
+    return float(np.mean([h[name] for h in history[rows]]))
+
+
+def dots(n, color, background, seed=0):
+    """Stacks of two frames with a square in them, and where: uint8 (n, 2, 32, 32, 3), float32 (n, 2)."""
+    rng = np.random.default_rng(seed)
+    pixels = np.empty((n, 2, SIZE, SIZE, 3), np.uint8)
+    pixels[:] = background
+    corners = rng.integers(0, SIZE - 8, (n, 2))
+    for image, (top, left) in zip(pixels, corners, strict=True):
+        image[:, top : top + 8, left : left + 8] = color
+    return torch.from_numpy(pixels), torch.from_numpy(corners.astype(np.float32))
+
+
+class Fixed(L.LightningDataModule):
+    """The same batch, over and over; ``data.labels`` and whatever else a module asks its data for."""
+
+    def __init__(self, batch, **extra):
+        super().__init__()
+        self.batch = batch
+        self.__dict__.update(extra)
+
+    def train_dataloader(self):
+        return DataLoader([self.batch] * 1000, batch_size=None)
+
+
+class Labels:
+    def __init__(self, labels):
+        self.labels = labels.numpy()
+
+
+# --- P^S ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fitted_P_S(trainer):
+    """P^S fitted to where a red square is, its data and the losses."""
+    pixels, state = dots(32, (255, 0, 0), (0, 0, 0))
+    module, fit = StatePredictor(2, **SMALL, hidden=(32,), lr=1e-3), trainer(60)
+    fit.fit(module, datamodule=Fixed({"pixels": pixels, "state": state}, data=Labels(state)))
+    return module.eval(), pixels, state, fit.history
+
+
+def test_state_predictor_loss_halves_on_a_fixed_batch(fitted_P_S):
+    *_, history = fitted_P_S
+    assert mean(history, "state_predictor/l1", slice(-3, None)) < 0.5 * mean(
+        history, "state_predictor/l1", slice(0, 1)
+    )
+
+
+def test_state_predictor_predicts_in_the_states_own_units(fitted_P_S):
+    module, pixels, state, _ = fitted_P_S
+    with torch.no_grad():
+        error = (module.P_S.predict(pixels) - state).abs().mean()
+    guess = (state - state.mean(0)).abs().mean()
+    assert error < 0.5 * guess and guess > 3
+
+
+# --- G --------------------------------------------------------------------------------------------------
+
+
+def visual(**overrides):
+    settings = {
+        "state_dim": 2,
+        "width": 4,
+        "blocks": 1,
+        "discriminator_width": 4,
+        "hidden": (32,),
+        "pool_size": 4,
+    }
+    return VisualTransformation(**SMALL, **{**settings, "lr_generator": 2e-3, **overrides})
+
+
+def paired_looks(pixels, state):
+    return {
+        "source": {"pixels": pixels[:8], "state": state[:8]},
+        "target": {"pixels": dots(8, (0, 0, 255), (90, 90, 90), 1)[0]},
+    }
+
+
+@pytest.mark.parametrize("translate", ["frame", "stack"])
+def test_visual_losses_fall_on_a_fixed_batch(trainer, fitted_P_S, translate):
+    P_S, pixels, state, _ = fitted_P_S
+    module, fit = visual(translate=translate), trainer(60)
+    module.adopt(P_S.P_S)
+    fit.fit(module, datamodule=Fixed(paired_looks(pixels, state)))
+    history = fit.history
+    for name in ("visual/cycle", "visual/identity"):
+        assert mean(history, name, slice(-5, None)) < 0.6 * mean(history, name, slice(0, 3)), name
+    total = [
+        sum(h[f"visual/{k}"] for k in ("g_target", "g_source", "cycle", "identity", "state")) for h in history
+    ]
+    assert np.mean(total[-5:]) < 0.7 * np.mean(total[:3])
+
+
+def test_state_reconstruction_keeps_the_state_readable_after_translation(trainer, fitted_P_S):
+    P_S, pixels, state, _ = fitted_P_S
+    module, fit = visual(state_weight=20.0, cycle_weight=0.0, identity_weight=0.0), trainer(60)
+    module.adopt(P_S.P_S)
+    fit.fit(module, datamodule=Fixed(paired_looks(pixels, state)))
+    assert mean(fit.history, "visual/state", slice(-5, None)) < 0.6 * mean(
+        fit.history, "visual/state", slice(0, 3)
+    )
+
+
+def test_only_the_first_convolutions_of_P_T_are_trained(trainer, fitted_P_S):
+    P_S, pixels, state, _ = fitted_P_S
+    module = visual(finetune_convs=1)
+    module.adopt(P_S.P_S)
+    trainer(3).fit(module, datamodule=Fixed(paired_looks(pixels, state)))
+    before = P_S.P_S.state_dict()
+    moved = {k for k, v in module.P_T.state_dict().items() if not torch.equal(v, before[k])}
+    assert moved == {"encoder.convs.0.weight", "encoder.convs.0.bias"}
+
+
+def test_cycle_of_identity_nets_returns_the_input_and_costs_nothing():
+    module = visual(state_dim=0)
+    module.G = module.G_back = nn.Identity()
+    pixels = dots(4, (200, 30, 70), (10, 20, 30))[0]
+    np.testing.assert_array_equal(module.translate(pixels[:, :1].numpy()), pixels[:, :1])
+    S, T = to_float(pixels[:2, -1]), to_float(pixels[2:, -1])
+    fake_S, fake_T, parts = module.generator_losses(S, T, {"pixels": pixels[:2]})
+    assert torch.equal(fake_T, S) and torch.equal(fake_S, T)
+    assert parts["cycle"] == 0 and parts["identity"] == 0 and "state" not in parts
+
+
+def test_state_loss_by_hand_uses_the_whole_translated_stack(fitted_P_S):
+    P_S, pixels, state, _ = fitted_P_S
+    module = visual(state_weight=3.0)
+    module.adopt(P_S.P_S)
+    module.G = nn.Identity()
+    S = to_float(pixels[:, -1])
+    parts = module.generator_losses(S, S, {"pixels": pixels, "state": state})[2]
+    expected = 3.0 * (P_S.P_S.encode(pixels) - P_S.P_S.standardise(state)).abs().mean()
+    torch.testing.assert_close(parts["state"], expected)
+
+
+def test_image_size_that_the_generator_cannot_keep_is_refused():
+    with pytest.raises(ValueError, match=r"divisible by 4.*got 30"):
+        VisualTransformation(2, image_size=30)
+
+
+def test_image_pool_returns_past_images_about_half_of_the_time():
+    pool = ImagePool(10)
+    first = pool(torch.zeros(10, 1, 2, 2))
+    assert (first == 0).all()
+    old = torch.cat([pool(torch.full((1, 1, 2, 2), float(i))) for i in range(1, 201)])[:, 0, 0, 0]
+    from_the_past = (old != torch.arange(1.0, 201)).float().mean()
+    assert 0.35 < from_the_past < 0.65
+    assert torch.equal(ImagePool(0)(old), old)
+
+
+# --- F --------------------------------------------------------------------------------------------------
+
+
+class Plain(nn.Module):
+    """Features that are the observation itself."""
+
+    features = 1
+
+    def encode(self, pixels):
+        return pixels.float()
+
+
+class Line:
+    """A point on a line, n times: x' = x + a. Episodes of 10 steps from a random start."""
+
+    def __init__(self, n):
+        self.n, self.rng = n, np.random.default_rng(0)
+
+    def reset(self, seed):
+        self.rng, self.t = np.random.default_rng(seed), 0
+        self.x = self.rng.uniform(-1, 1, (self.n, 1)).astype(np.float32)
+        return {"pixels": self.x.copy()}, {}
+
+    def step(self, actions):
+        self.x, self.t = self.x + actions, self.t + 1
+        done, infos = np.full(self.n, self.t == 10), {}
+        if done.any():
+            infos = {"final_obs": {"pixels": self.x.copy()}}
+            self.reset(int(self.rng.integers(2**31)))
+        return {"pixels": self.x.copy()}, np.zeros(self.n), np.zeros(self.n, bool), done, infos
+
+
+class LineData(OnPolicyDataModule):
+    """Rollouts in the line, beside target transitions made directly: x' = x + effect * a + drift."""
+
+    def __init__(self, F, rollouts, effect=1.0, drift=0.0):
+        rng = np.random.default_rng(1)
+
+        def policy(pixels):
+            return rng.uniform(-1, 1, (len(pixels), 1)).astype(np.float32)
+
+        roll = garat_rollout(Line(16), policy, F, 16, seed=0)
+        super().__init__(roll, [], F.encode, 1, rollouts)
+        x, a = torch.rand(2000, 1) * 4 - 2, torch.rand(2000, 1) * 2 - 1
+        self.target_transitions = {"features": x, "actions": a, "next_features": x + effect * a + drift}
+
+    def setup(self, stage):
+        pass
+
+
+def action_transformation(**overrides):
+    settings = {
+        "hidden": (32, 32),
+        "lr": 3e-3,
+        "lr_discriminator": 3e-3,
+        "clip": 0.2,
+        "batch_size": 64,
+        "smoothing": 1.0,
+    }
+    return ActionTransformation(Plain(), [-1.0], [1.0], **{**settings, **overrides})
+
+
+def test_new_action_transformation_is_nearly_the_identity():
+    F = action_transformation()
+    pixels, actions = (
+        np.random.randn(50, 1).astype(np.float32),
+        np.random.uniform(-1, 1, (50, 1)).astype(np.float32),
+    )
+    np.testing.assert_allclose(F.transform(pixels, actions), actions, atol=0.02)
+
+
+def test_transformed_actions_stay_within_bounds_in_physical_units():
+    F = ActionTransformation(
+        Plain(), [-3.0, 0.0], [3.0, 10.0], hidden=(8,), smoothing=1.0, residual_scale=2.0
+    )
+    actions = torch.tensor([[0.0, 5.0], [3.0, 10.0], [-3.0, 0.0]])
+    for delta in (-5.0, 5.0):
+        transformed = F.apply_residual(actions, torch.full((3, 2), delta))
+        assert torch.equal(transformed, (F.low if delta < 0 else F.high).expand(3, 2))
+    torch.testing.assert_close(
+        F.apply_residual(actions, torch.full((3, 2), 0.1))[0], torch.tensor([0.6, 6.0])
+    )
+    torch.testing.assert_close(F.normalise(torch.tensor([[0.0, 10.0]])), torch.tensor([[0.0, 1.0]]))
+
+
+def test_without_smoothing_weight_the_action_is_left_alone():
+    F, actions = action_transformation(smoothing=0.0), torch.rand(9, 1)
+    assert torch.equal(F.apply_residual(actions, torch.randn(9, 1)), actions)
+
+
+def test_discriminator_separates_two_different_transition_sets(trainer):
+    F = action_transformation(lr=0.0, discriminator_batches=30)
+    data, fit = LineData(F, rollouts=10, drift=2.0), trainer(10)
+    fit.fit(F, datamodule=data)
+    agent = {k: v.flatten(0, 1) for k, v in data.collect().items()}
+    with torch.no_grad():
+        agent_logits, target_logits = (
+            F.D(F.transition_input(agent)),
+            F.D(F.transition_input(data.target_transitions)),
+        )
+    accuracy = 0.5 * ((agent_logits > 0).float().mean() + (target_logits < 0).float().mean())
+    assert accuracy > 0.9
+    assert fit.history[-1]["dynamics/d_loss"] < fit.history[0]["dynamics/d_loss"]
+
+
+def test_garat_learns_that_actions_do_half_as_much_in_the_target(trainer):
+    F = action_transformation()
+    actions = np.linspace(-1, 1, 41, dtype=np.float32)[:, None]
+    x = np.random.uniform(-1, 1, actions.shape).astype(np.float32)
+    before = np.abs(F.transform(x, actions) - 0.5 * actions).mean()
+    trainer(40).fit(F, datamodule=LineData(F, rollouts=40, effect=0.5))
+    after = np.abs(F.transform(x, actions) - 0.5 * actions).mean()
+    assert after < 0.5 * before
+
+
+def test_training_action_transformation_leaves_its_features_frozen(trainer):
+    encoder = StatePredictor(1, **SMALL, hidden=(8,)).P_S
+    F = ActionTransformation(encoder, [-1.0], [1.0], hidden=(8,))
+    assert not any(p.requires_grad for p in F.encoder.parameters())
+    optimized = {id(p) for o in F.configure_optimizers() for g in o.param_groups for p in g["params"]}
+    assert not optimized & {id(p) for p in F.encoder.parameters()}
+    assert optimized == {id(p) for n, p in F.named_parameters() if not n.startswith("encoder.")}
+
+
+# --- π --------------------------------------------------------------------------------------------------
+
+
+def sac(encoder="learned", **overrides):
+    settings = {"hidden": (32,), "lr": 1e-3, "gamma": 0.9}
+    return AsymmetricSAC(2, [-3.0], [3.0], **SMALL, encoder=encoder, **{**settings, **overrides})
+
+
+class FixedExperience:
+    """The same 16 transitions at every step: the state is where the square is, the reward follows from it."""
+
+    recent_return = 0.0
+
+    def __init__(self, policy):
+        pixels, state = dots(16, (255, 0, 0), (0, 0, 0))
+        seen, state = policy.remember(pixels.numpy()), state.numpy() / SIZE
+        self.transitions = {
+            **seen, "state": state, "actions": np.linspace(-3, 3, 16, dtype=np.float32)[:, None],
+            "rewards": state[:, 0] + 1, "terminations": np.arange(16) % 4 == 0,
+            "next_observation": seen["observation"], "next_state": state,
+        }  # fmt: skip
+
+    def __call__(self):
+        return self.transitions
+
+
+@pytest.mark.parametrize("encoder", ["learned", "supervised"])
+def test_sac_critic_loss_falls_on_fixed_data(trainer, encoder):
+    module, fit = sac(encoder), trainer(40)
+    images = 1 if encoder == "supervised" else 0
+    data = ReplayDataModule(FixedExperience(module), ReplayBuffer(16, 0), 16, 4, 40, images, 16)
+    fit.fit(module, datamodule=data)
+    assert mean(fit.history, "policy/critic_loss", slice(-5, None)) < 0.5 * mean(
+        fit.history, "policy/critic_loss", slice(0, 1)
+    )
+    if images:
+        assert mean(fit.history, "policy/state_error", slice(-5, None)) < 0.7 * mean(
+            fit.history, "policy/state_error", slice(0, 1)
+        )
+
+
+def test_sac_actor_moves_to_what_the_critics_prefer(trainer):
+    """The reward is the action: after a while the mean action is large."""
+    module, fit = sac(learn_temperature=False, temperature=1e-3, lr=3e-3), trainer(60)
+    experience = FixedExperience(module)
+    t = experience.transitions
+    t["rewards"], t["terminations"] = t["actions"][:, 0].copy(), np.ones(16, bool)
+    fit.fit(module, datamodule=ReplayDataModule(experience, ReplayBuffer(16, 0), 16, 4, 60))
+    assert module.act(t["observation"], deterministic=True).mean() > 1.5
+
+
+def test_sac_target_critics_follow_slowly(trainer):
+    module = sac(tau=0.1)
+    before = [p.clone() for p in module.critic_target.parameters()]
+    for p in module.critic.parameters():
+        p.data += 1.0
+    module.track_critic()
+    for old, new in zip(before, module.critic_target.parameters(), strict=True):
+        torch.testing.assert_close(new, old + 0.1)
+
+
+def test_sac_acts_within_bounds_deterministically_if_asked_and_at_random_if_not():
+    module = sac()
+    pixels = dots(16, (255, 0, 0), (0, 0, 0))[0].numpy()
+    sampled = [module.act(pixels) for _ in range(2)]
+    assert (np.abs(sampled) <= 3).all() and (sampled[0] != sampled[1]).any()
+    np.testing.assert_array_equal(*(module.act(pixels, deterministic=True) for _ in range(2)))
+    assert sampled[0].shape == (16, 1) and sampled[0].dtype == np.float32
+
+
+def test_sac_temperature_rises_while_the_policy_is_too_certain(trainer):
+    module, fit = sac(target_entropy=5.0, temperature=0.1), trainer(10)
+    fit.fit(module, datamodule=ReplayDataModule(FixedExperience(module), ReplayBuffer(16, 0), 16, 4, 10))
+    assert module.log_alpha.exp() > 0.1
+
+
+def test_supervised_encoder_starts_as_the_state_predictor(fitted_P_S):
+    P_S, pixels, *_ = fitted_P_S
+    module = AsymmetricSAC(2, [-3.0], [3.0], **SMALL, encoder="supervised", hidden=(8,))
+    module.actor.encoder.mlp = StatePredictor(2, **SMALL, hidden=(32,)).P_S.mlp  # P^S of these tests is small
+    module.start_from(P_S.P_S)
+    torch.testing.assert_close(module.encode(pixels.numpy()), P_S.P_S.encode(pixels))
+
+
+def test_grounded_environment_accepts_the_modules_as_they_are(cart):
+    from idapt_pl.envs import VectorImageEnv
+
+    G, F = visual(), ActionTransformation(StatePredictor(2, **SMALL).P_S, [-100.0], [100.0], hidden=(8,))
+    env = GroundedEnv(
+        VectorImageEnv(cart, cart.domain("source"), 2, SIZE, 2), G.translate, F.transform, G.frames
+    )
+    obs, _ = env.reset(seed=0)
+    obs, *_ = env.step(np.zeros((2, 1), np.float32))
+    assert obs["pixels"].shape == (2, 2, SIZE, SIZE, 3) and obs["pixels"].dtype == np.uint8
+    assert (obs["pixels"] != obs["source_pixels"]).any()
+    env.close()

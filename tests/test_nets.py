@@ -1,0 +1,105 @@
+"""Images to nets and back, encoders, generators."""
+
+import numpy as np
+import pytest
+import torch
+
+from idapt_pl.nets.encoder import Keypoints, PixelEncoder, PixelStatePredictor
+from idapt_pl.nets.images import center_crop, random_crop, stack_channels, to_float, to_pixels
+from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
+
+
+def random_pixels(*shape):
+    return torch.randint(0, 256, (*shape, 3), dtype=torch.uint8)
+
+
+def test_every_pixel_value_survives_the_round_trip_through_floats():
+    pixels = torch.arange(256, dtype=torch.uint8).repeat(3).reshape(16, 16, 3)
+    floats = to_float(pixels)
+    assert floats.shape == (3, 16, 16) and floats.min() == -1 and floats.max() == 1
+    assert torch.equal(to_pixels(floats), pixels)
+
+
+def test_values_out_of_range_are_clamped_rather_than_wrapped():
+    assert to_pixels(torch.full((3, 1, 1), 1.5)).unique().tolist() == [255]
+    assert to_pixels(torch.full((3, 1, 1), -1.5)).unique().tolist() == [0]
+
+
+def test_stack_channels_puts_frames_one_after_another_oldest_first():
+    pixels = random_pixels(2, 3, 8, 8)
+    stacked = stack_channels(pixels)
+    assert stacked.shape == (2, 9, 8, 8)
+    for k in range(3):
+        assert torch.equal(stacked[:, 3 * k : 3 * k + 3], to_float(pixels[:, k]))
+
+
+def test_center_crop_takes_the_middle():
+    image = torch.arange(36.0).view(6, 6)
+    assert torch.equal(center_crop(image, 2), image[2:4, 2:4])
+
+
+def test_random_crop_takes_one_window_of_each_stack_anywhere_in_it():
+    grid = torch.arange(100, dtype=torch.uint8).view(10, 10)
+    pixels = grid[None, None, :, :, None].expand(200, 3, 10, 10, 3).clone()
+    crops = random_crop(pixels, 8)
+    corners = crops[:, :, 0, 0, 0]
+    assert (corners == corners[:, :1]).all(), "frames of a stack must be cropped alike"
+    assert set(corners[:, 0].tolist()) == {10 * top + left for top in range(3) for left in range(3)}
+    for stack, corner in zip(crops[:5], corners[:5, 0].tolist(), strict=True):
+        top, left = divmod(corner, 10)
+        assert torch.equal(stack[0, :, :, 0], grid[top : top + 8, left : left + 8])
+
+
+def test_keypoints_find_where_the_activation_is():
+    x = torch.full((1, 2, 5, 9), -50.0)
+    x[0, 0, 4, 0] = 50.0  # bottom left
+    x[0, 1, 2, 8] = 50.0  # middle right
+    columns, rows = Keypoints()(x)[0].view(2, 2)
+    torch.testing.assert_close(columns, torch.tensor([-1.0, 1.0]))
+    torch.testing.assert_close(rows, torch.tensor([1.0, 0.0]))
+
+
+@pytest.mark.parametrize("pool", ["flatten", "keypoints"])
+def test_encoder_gives_bounded_features_for_any_crop(pool):
+    encoder = PixelEncoder(40, frame_stack=2, crop=32, strides=(2, 2, 1, 1), pool=pool, features=7)
+    pixels = random_pixels(5, 2, 40, 40)
+    for augment in (False, True):
+        features = encoder.encode(pixels, augment)
+        assert features.shape == (5, 7) and features.abs().max() <= 1 and features.std() > 0
+
+
+def test_encoder_refuses_a_crop_larger_than_the_image():
+    with pytest.raises(ValueError, match=r"crop \(50\).*40"):
+        PixelEncoder(40, crop=50)
+
+
+def test_state_predictor_prediction_standardises_back_to_what_the_net_said():
+    net = PixelStatePredictor(PixelEncoder(32, 1, strides=(2, 2, 1, 1)), state_dim=2, hidden=(8,))
+    net.fit_scale(torch.tensor([[10.0, 5.0], [14.0, 5.0]]))
+    assert net.mean.tolist() == [12.0, 5.0]
+    assert net.std[1] == 1.0, "a component that does not vary keeps spread 1"
+    pixels = random_pixels(3, 1, 32, 32)
+    torch.testing.assert_close(net.standardise(net.predict(pixels)), net.encode(pixels), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [32, 36])
+def test_generator_keeps_the_image_size_and_range(size):
+    image = torch.rand(2, 3, size, size) * 2 - 1
+    fake = ResnetGenerator(3, width=4, blocks=1)(image)
+    assert fake.shape == image.shape and fake.abs().max() <= 1
+
+
+def test_generator_treats_each_image_of_a_batch_on_its_own():
+    G, images = ResnetGenerator(3, width=4, blocks=1), torch.rand(3, 3, 32, 32)
+    torch.testing.assert_close(G(images)[1:2], G(images[1:2]), rtol=1e-4, atol=1e-5)
+
+
+def test_patch_discriminator_judges_patches():
+    D = PatchDiscriminator(3, width=4)
+    image = torch.rand(1, 3, 64, 64)
+    logits = D(image)
+    assert logits.shape[:2] == (1, 1) and logits.numel() > 1
+    image.requires_grad_(True)
+    D.body[0](image)[0, 0, 0, 0].backward()  # the first layer of the corner sees the corner alone
+    seen = np.argwhere(image.grad[0].abs().sum(0).numpy() > 0)
+    assert seen.max() < 4
