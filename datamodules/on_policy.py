@@ -51,7 +51,7 @@ class OnPolicyDataModule(L.LightningDataModule):
 
     Args:
         collect: rolls the grounded environment out with the current F.
-        target: trajectory files of the target (images and actions).
+        target: trajectory files of the target (images and actions); each weighs the same.
         encode: the frozen features f.
         frame_stack: K.
         rollouts: length of an epoch.
@@ -65,7 +65,11 @@ class OnPolicyDataModule(L.LightningDataModule):
         self.target, self.frame_stack, self.rollouts = [str(p) for p in target], frame_stack, rollouts
 
     def setup(self, stage: str) -> None:
-        self.target_transitions = encode_transitions(FrameStacks(read_all(self.target), self.frame_stack), self.encode)
+        files = [encode_transitions(FrameStacks(read_all([p]), self.frame_stack), self.encode) for p in self.target]
+        longest = max(len(t["actions"]) for t in files)
+        self.target_transitions = {
+            name: torch.cat([t[name][torch.arange(longest) % len(t[name])] for t in files]) for name in files[0]
+        }
 
     def train_dataloader(self) -> DataLoader:
         return DataLoader(_Rollouts(self), batch_size=None, num_workers=0)

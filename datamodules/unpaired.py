@@ -16,14 +16,15 @@ from datamodules.stacks import FrameStacks, whole_batch
 from datamodules.trajectories import Trajectories, TrajectoryFileError, read_trajectories
 
 
-def read_all(paths: Sequence[Path | str]) -> Trajectories:
-    """The episodes of several trajectory files, in order; they must have images of one size."""
+def read_all(paths: Sequence[Path | str], also: str | None = None) -> Trajectories:
+    """The episodes of several trajectory files, in order; they must have images of one size, and ``also``."""
     parts = [read_trajectories(p) for p in paths]
     sizes = {}
     for path, part in zip(paths, parts, strict=True):
         for i, episode in enumerate(part):
-            if "pixels" not in episode.observations:
-                raise TrajectoryFileError(f"{path}: episode_{i}/observations/pixels is missing; images are needed here")
+            for name in ("pixels", also):
+                if name is not None and name not in episode.observations:
+                    raise TrajectoryFileError(f"{path}: episode_{i}/observations/{name} is missing; it is needed here")
             sizes.setdefault(episode.observations["pixels"].shape[1:], path)
     if len(sizes) > 1:
         found = "; ".join(f"{p} has {h}x{w}" for (h, w, _), p in sizes.items())
@@ -50,7 +51,7 @@ class LabelledImages(L.LightningDataModule):
         self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
 
     def setup(self, stage: str) -> None:
-        self.data = FrameStacks(read_all(self.source), self.frame_stack, labels="state")
+        self.data = FrameStacks(read_all(self.source, also="state"), self.frame_stack, labels="state")
 
     def train_dataloader(self) -> DataLoader:
         return random_batches(self.data, self.batch_size, self.batches, self.seed)
@@ -76,7 +77,7 @@ class UnpairedImages(L.LightningDataModule):
         self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
 
     def setup(self, stage: str) -> None:
-        self.source_data = FrameStacks(read_all(self.source), self.frame_stack, labels="state")
+        self.source_data = FrameStacks(read_all(self.source, also="state"), self.frame_stack, labels="state")
         self.target_data = FrameStacks(read_all(self.target), self.frame_stack)
         if self.source_data.frames.shape[1:] != self.target_data.frames.shape[1:]:
             s, t = self.source_data.frames.shape[1:3], self.target_data.frames.shape[1:3]

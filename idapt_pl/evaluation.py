@@ -64,12 +64,12 @@ class Evaluation:
         """Everything measured after one grounding step."""
 
         def make(seed: int) -> dict:
-            with closing(self.worlds.grounded(min(self.episodes, 10), G, F)) as env:
-                grounded = evaluate(env, deterministic(policy), 10, seed)
+            with closing(self.worlds.grounded(5, G, F)) as env:
+                grounded = evaluate(env, deterministic(policy), 5, seed)
             result = {
                 "target": self.target_return(policy, seed),
                 "grounded": {"mean": grounded.mean, "std": grounded.std},
-                "translation": paired_errors(self.worlds, policy, G, P_S, 300, seed),
+                "translation": paired_errors(self.worlds, policy, G, P_S, 200, seed),
             }
             if F is not None and policy_before is not None:
                 result["residual"] = residual(self.worlds, policy_before, G, F, target, seed)

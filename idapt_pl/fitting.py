@@ -6,7 +6,6 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ import torch
 from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
-from idapt_pl.rollout import Experience, VectorEnv, garat_rollout
+from idapt_pl.rollout import Act, Experience, VectorEnv, garat_rollout
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -42,8 +41,9 @@ class Feeding:
         buffer_size: transitions kept for SAC.
         warmup_steps: environment steps before SAC's first update (random actions for a new policy).
         garat_envs: simulations that GARAT rolls out side by side.
+        garat_exploring: share of them that explore, compared with the target's task-agnostic data; 0 leaves
+            GARAT to the current policy's data alone (the paper).
         garat_rollout: environment steps in one GARAT rollout, over all simulations.
-        garat_features: what F and D see: the policy's features f_pi (the paper) or P^T's state estimate.
     """
 
     state_predictor_batch: int = 32
@@ -54,8 +54,8 @@ class Feeding:
     buffer_size: int = 10_000
     warmup_steps: int = 1000
     garat_envs: int = 10
+    garat_exploring: float = 0.0
     garat_rollout: int = 5000
-    garat_features: Literal["policy", "state"] = "policy"
 
 
 class Fitting:
@@ -110,12 +110,12 @@ class Fitting:
         policy: AsymmetricSAC,
         G: VisualTransformation,
         initial: ActionTransformation | None,
+        explore: Callable[[int, int], Act],
     ) -> ActionTransformation:
-        """F with GARAT: grounded rollouts of ``policy`` against the target's transitions."""
-        features = policy.actor.encoder if self.feeding.garat_features == "policy" else G.P_T
+        """F with GARAT: grounded rollouts of ``policy`` (and of ``explore``) against the target's transitions."""
 
         def build() -> ActionTransformation:
-            module = self.make.dynamics(encoder=copy.deepcopy(features), **self.worlds.action_bounds)
+            module = self.make.dynamics(encoder=copy.deepcopy(policy.actor.encoder), **self.worlds.action_bounds)
             if initial is not None:  # F continues, on the newest features
                 kept = {k: v for k, v in initial.state_dict().items() if not k.startswith("encoder.")}
                 module.load_state_dict(kept, strict=False)
@@ -123,8 +123,11 @@ class Fitting:
 
         def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
             n = self.feeding.garat_envs
-            env = self.worlds.grounded(n, G.to(device))
-            roll = garat_rollout(env, policy.to(device).act, F, self.feeding.garat_rollout // n, seed)
+            env, head = self.worlds.grounded(n, G.to(device)), policy.to(device).actor
+            roll = garat_rollout(
+                env, lambda features: head(features)[0], F, self.feeding.garat_rollout // n, seed,
+                explore(seed, n), round(self.feeding.garat_exploring * n),
+            )
             return OnPolicyDataModule(roll, target, F.encode, self.worlds.frame_stack, rollouts)
 
         return self.stages.fit(step, "dynamics", build, feed, rollouts)

@@ -44,7 +44,7 @@ class Schedule:
         pretrain: stages before the first grounding step.
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
-        accumulate: train P^S, G and F on all data so far; else P^S and G on the newest data only.
+        accumulate: train P^S and G on all data so far; else on the newest alone.
     """
 
     grounding_steps: int = 5
@@ -89,7 +89,7 @@ class IterativeGrounding:
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
             G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
             if self.schedule.action_transformation:
-                F = self.fit.dynamics(k, self.under_policy(D_T), finetune.dynamics, pi, G, F)
+                F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore)
             pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)
             self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)
 
@@ -111,17 +111,18 @@ class IterativeGrounding:
         """D^S_online: the current policy in the grounded source; source images and states are kept."""
         return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
 
-    def explore(self, seed: int) -> Act:
+    def explore(self, seed: int, num_envs: int = 1) -> Act:
         """The task-agnostic policy."""
-        return EXPLORATION[self.schedule.exploration](self.worlds.source(1), seed)
+        with closing(self.worlds.source(num_envs)) as env:
+            return EXPLORATION[self.schedule.exploration](env, seed)
 
     def recent(self, data: list[Path]) -> list[Path]:
         """The data that a grounding step trains P^S and G on."""
         return data if self.schedule.accumulate else data[-1:]
 
-    def under_policy(self, data: list[Path]) -> list[Path]:
-        """The target data for GARAT: under the current policy, and earlier policies if accumulated."""
-        return data[1:] if self.schedule.accumulate else data[-1:]
+    def for_dynamics(self, data: list[Path]) -> list[Path]:
+        """The target data for GARAT: under the current policy, and the task-agnostic data if F explores."""
+        return [data[0], data[-1]] if self.fit.feeding.garat_exploring else data[-1:]
 
     def _record_target(self, k: int, policy, steps: int) -> Path:
         def make(seed: int):

@@ -90,7 +90,9 @@ class Stages:
         path = self.folder(step) / f"{name}.h5"
         if not path.exists():
             started = time.perf_counter()
-            write_trajectories(path, make(stage_seed(self.seed, step, name)))
+            seed = stage_seed(self.seed, step, name)
+            L.seed_everything(seed, verbose=False)  # stochastic policies draw from torch's generator
+            write_trajectories(path, make(seed))
             seconds = time.perf_counter() - started
             write_json(self.folder(step) / f"{name}.json", {"step": step, "stage": name, "wall_s": round(seconds, 2)})
             log.info("step %d  %-16s %6.1f s  -> %s", step, name, seconds, path)
@@ -102,7 +104,9 @@ class Stages:
         path = self.folder(step) / f"{name}.json"
         if not path.exists():
             started = time.perf_counter()
-            result = make(stage_seed(self.seed, step, name))
+            seed = stage_seed(self.seed, step, name)
+            L.seed_everything(seed, verbose=False)
+            result = make(seed)
             timing = {"step": step, "stage": name, "wall_s": round(time.perf_counter() - started, 2)}
             write_json(path, timing | result)
         return json.loads(path.read_text())

@@ -120,8 +120,10 @@ def summary(finished_run):
 
 
 def test_summary_keeps_the_contract(summary):
-    types = {"task": str, "target": str, "seed": int, "metric": str, "episodes": int,
-             "direct_transfer": float, "grounded": list, "target_interactions": int, "wall_s": float, "stages": list}  # fmt: skip
+    types = {
+        "task": str, "target": str, "seed": int, "metric": str, "episodes": int, "wall_s": float,
+        "direct_transfer": float, "grounded": list, "target_interactions": int, "stages": list,
+    }  # fmt: skip
     assert {k: type(summary[k]) for k in types} == types
     assert summary["oracle"] is None, "not asked for"
     assert (summary["task"], summary["seed"]) == ("inverted_pendulum", TINY["seed"])
@@ -271,7 +273,7 @@ def test_same_seed_same_run_and_another_seed_another(finished_run, tiny_args, tm
 
 @pytest.mark.slow
 def test_ablations_run(tiny_args, tmp_path):
-    """Without F, on the newest data only, features of the policy, and with the oracle reference."""
+    """Without F, on the newest data only, with an encoder learned by SAC alone, and with the oracle reference."""
     run = tmp_path / "ablation"
     overrides = {
         "schedule__grounding_steps": 1,
@@ -284,7 +286,6 @@ def test_ablations_run(tiny_args, tmp_path):
     assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
     paper = {
         "schedule__grounding_steps": 1,
-        "feeding__garat_features": "policy",
         "policy__encoder": "learned",
     }
     assert main(["fit", *tiny_args(tmp_path / "paper", **paper)]) == 0

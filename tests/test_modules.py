@@ -11,11 +11,12 @@ from datamodules import OnPolicyDataModule, ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.modules.image_pool import ImagePool
+from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import to_float
 from idapt_pl.rollout import garat_rollout
 
 SIZE = 32
-SMALL = {"image_size": SIZE, "frame_stack": 2, "strides": (2, 2, 1, 1), "bf16": False}
+SMALL = {"image_size": SIZE, "frame_stack": 2, "vision": Vision(strides=(2, 2, 1, 1)), "bf16": False}
 
 
 def mean(history, name, rows):
@@ -57,7 +58,7 @@ class Labels:
 def fitted_P_S(trainer):
     """P^S fitted to where a red square is, its data and the losses."""
     pixels, state = dots(32, (255, 0, 0), (0, 0, 0))
-    module, fit = StatePredictor(2, **SMALL, hidden=(32,), lr=1e-3), trainer(60)
+    module, fit = StatePredictor(2, **SMALL, lr=1e-3), trainer(60)
     fit.fit(module, datamodule=Fixed({"pixels": pixels, "state": state}, data=Labels(state)))
     return module.eval(), pixels, state, fit.history
 
@@ -86,7 +87,6 @@ def visual(**overrides):
         "width": 4,
         "blocks": 1,
         "discriminator_width": 4,
-        "hidden": (32,),
         "pool_size": 4,
     }
     return VisualTransformation(**SMALL, **{**settings, "lr_generator": 2e-3, **overrides})
@@ -207,10 +207,10 @@ class LineData(OnPolicyDataModule):
     """Rollouts in the line, beside target transitions made directly: x' = x + effect * a + drift."""
 
     def __init__(self, F, rollouts, effect=1.0, drift=0.0):
-        rng = np.random.default_rng(1)
+        generator = torch.Generator().manual_seed(1)
 
-        def policy(pixels):
-            return rng.uniform(-1, 1, (len(pixels), 1)).astype(np.float32)
+        def policy(features):
+            return 2 * torch.rand(len(features), 1, generator=generator) - 1
 
         roll = garat_rollout(Line(16), policy, F, 16, seed=0)
         super().__init__(roll, [], F.encode, 1, rollouts)
@@ -287,7 +287,7 @@ def test_garat_learns_that_actions_do_half_as_much_in_the_target(trainer):
 
 
 def test_training_action_transformation_leaves_its_features_frozen(trainer):
-    encoder = StatePredictor(1, **SMALL, hidden=(8,)).P_S
+    encoder = StatePredictor(1, **SMALL).P_S
     F = ActionTransformation(encoder, [-1.0], [1.0], hidden=(8,))
     assert not any(p.requires_grad for p in F.encoder.parameters())
     optimized = {id(p) for o in F.configure_optimizers() for g in o.param_groups for p in g["params"]}
@@ -373,8 +373,7 @@ def test_sac_temperature_rises_while_the_policy_is_too_certain(trainer):
 
 def test_supervised_encoder_starts_as_the_state_predictor(fitted_P_S):
     P_S, pixels, *_ = fitted_P_S
-    module = AsymmetricSAC(2, [-3.0], [3.0], **SMALL, encoder="supervised", hidden=(8,))
-    module.actor.encoder.mlp = StatePredictor(2, **SMALL, hidden=(32,)).P_S.mlp  # P^S of these tests is small
+    module = sac("supervised")
     module.start_from(P_S.P_S)
     torch.testing.assert_close(module.encode(pixels.numpy()), P_S.P_S.encode(pixels))
 

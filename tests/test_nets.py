@@ -82,6 +82,27 @@ def test_state_predictor_prediction_standardises_back_to_what_the_net_said():
     torch.testing.assert_close(net.standardise(net.predict(pixels)), net.encode(pixels), rtol=1e-4, atol=1e-4)
 
 
+class Brightness(PixelEncoder):
+    """Features that are the brightness of the image, so that a test can say what a frame shows."""
+
+    def forward(self, images):
+        return images.mean((1, 2, 3))[:, None]
+
+
+@pytest.mark.parametrize(("frames", "acceleration"), [(3, 0.0), (3, 7.0), (2, 0.0)])
+def test_rate_from_differences_is_the_derivative_of_what_the_frames_show(frames, acceleration):
+    """Exact for constant velocity, and with three frames for constant acceleration."""
+    dt, mean, std = 0.1, torch.tensor([2.0, 1.0]), torch.tensor([4.0, 0.5])
+    net = PixelStatePredictor(Brightness(8, 1, strides=(2,)), state_dim=2, rates={1: 0}, dt=dt)
+    net.mlp, net.mean, net.std = torch.nn.Identity(), mean, std
+    t = torch.arange(1.0 - frames, 1.0) * dt  # the newest frame is now
+    position = 3.0 + 5.0 * t + acceleration * t**2 / 2
+    shown = (position - mean[0]) / std[0]  # standardised, as the net predicts it
+    images = shown.repeat_interleave(3)[None, :, None, None].expand(1, 3 * frames, 8, 8)
+    state = net(images) * std + mean
+    torch.testing.assert_close(state, torch.tensor([[3.0, 5.0]]), rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.parametrize("size", [32, 36])
 def test_generator_keeps_the_image_size_and_range(size):
     image = torch.rand(2, 3, size, size) * 2 - 1

@@ -151,7 +151,7 @@ class Mean(torch.nn.Module):
 
 def test_garat_rollout_marks_ends_and_continues_within_episodes(make):
     F = ActionTransformation(Mean(), [-100.0], [100.0], hidden=(8,))
-    roll = garat_rollout(make(2), push(10.0), F, 13, seed=0)
+    roll = garat_rollout(make(2), lambda features: torch.full((len(features), 1), 10.0), F, 13, seed=0)
     for rollout in (roll(), roll()):
         assert {k: v.shape[:2] for k, v in rollout.items()} == dict.fromkeys(rollout, (13, 2))
         ends = rollout["ends"]

@@ -108,9 +108,13 @@ class BodyMass(Effect):
     mass: float = parameter("kg", 1e-6, 1e6)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        model = spec.copy().compile()
-        for body in elements(spec, "bodies", self.target):
-            now = float(model.body(body.name).mass[0])
+        elements(spec, "bodies", self.target)  # raises if there is none
+        twin = spec.copy()
+        model = twin.compile()
+        masses = [float(model.body(b.id).mass[0]) for b in twin.bodies]
+        for body, now in zip(spec.bodies, masses, strict=True):
+            if self.target not in ("*", body.name):
+                continue
             if now == 0.0:
                 if self.target == "*":
                     continue

@@ -29,7 +29,7 @@ class ActionTransformation(ManualModule):
         smoothing: β.
         residual_scale: largest |δ| as a multiple of half the action range; 2 reaches every action from any.
         deterministic: F acts with its mean when the policy trains (GARAT); else it samples (the authors' code).
-        lr: Adam, agent.
+        lr: Adam, agent; decays linearly to zero over a stage.
         lr_discriminator: Adam, D.
         gamma: discount of the imitation reward.
         lam: λ of GAE.
@@ -67,6 +67,8 @@ class ActionTransformation(ManualModule):
     ) -> None:
         super().__init__()
         self.save_hyperparameters(ignore=["encoder"])
+        if epochs < 1 or discriminator_batches < 1:
+            raise ValueError(f"epochs and discriminator_batches must be at least 1, got {epochs}, {discriminator_batches}")
         low, high = torch.tensor(action_low), torch.tensor(action_high)
         d, nu = encoder.features, len(low)
         self.encoder = encoder.requires_grad_(False).eval()
@@ -136,6 +138,7 @@ class ActionTransformation(ManualModule):
         with torch.no_grad():
             rewards = gail_reward(self.D(self.transition_input(agent)).squeeze(-1))
         metrics |= self.ppo_steps(agent, rewards)
+        self.lr_schedulers().step()
         self.log_at(index, metrics)
 
     def transition_input(self, t: dict[str, Tensor]) -> Tensor:
@@ -189,9 +192,15 @@ class ActionTransformation(ManualModule):
         """F's input at the successor: its features and the policy's action there."""
         return self.agent_input(agent["next_features"], agent["next_actions"])
 
-    def configure_optimizers(self) -> list[torch.optim.Optimizer]:
+    def configure_optimizers(self) -> tuple[list, list]:
         agent = [*self.actor.parameters(), self.log_std, *self.value.parameters()]
-        return [
+        optimizers = [
             torch.optim.Adam(agent, lr=self.hparams.lr, fused=True),
             torch.optim.Adam(self.D.parameters(), lr=self.hparams.lr_discriminator, fused=True),
         ]
+        total = self.trainer.max_epochs * self.trainer.num_training_batches
+
+        def linear(step: int) -> float:  # Table III: linear decay
+            return 1.0 - step / total
+
+        return optimizers, [torch.optim.lr_scheduler.LambdaLR(optimizers[0], linear)]

@@ -30,6 +30,9 @@ class StatePredictor(L.LightningModule):
         state_dim: int,
         image_size: int,
         frame_stack: int = 3,
+        vision: Vision = Vision(),
+        rates: dict[int, int] | None = None,
+        dt: float = 1.0,
         lr: float = 3e-4,
         bf16: bool = True,
     ) -> None:
