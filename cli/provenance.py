@@ -39,6 +39,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
             "git_commit": git_commit(),
             "python": platform.python_version(),
             "platform": platform.platform(),
+            "cpu": cpu_model(),
             "cpu_threads": torch.get_num_threads(),
             "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
@@ -69,3 +70,13 @@ def git_commit() -> str | None:
         return git("rev-parse", "HEAD") + ("+dirty" if git("status", "--porcelain") else "")
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def cpu_model() -> str:
+    """The processor's name, as far as the system tells."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()

@@ -17,6 +17,7 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.files import write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.pictures import log_scalars, log_video, record, side_by_side
 from idapt_pl.rollout import Act, collect, evaluate
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
@@ -75,7 +76,10 @@ class Evaluation:
                 result["residual"] = residual(self.worlds, policy_before, G, F, target, seed)
             return result
 
+        fresh = not (self.stages.folder(step) / "evaluation.json").exists()
         result = self.stages.measure(step, "evaluation", make)
+        if fresh:
+            self.show(step, result, policy, G, F)
         self.worlds.ledger.enter(step, "evaluation", result["target"]["interactions"])
         log.info(
             "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
@@ -83,6 +87,21 @@ class Evaluation:
             result.get("residual", "-"), result["translation"],
         )
         return result
+
+    def show(
+        self, step: int, result: dict, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None
+    ) -> None:
+        """The run's TensorBoard page: returns, residuals, and the policy in grounded source and target."""
+        folder = self.stages.folder(step)
+        scalars = {"returns/target": result["target"]["mean"], "returns/grounded": result["grounded"]["mean"],
+                   "translation/psnr": result["translation"]["psnr"]}
+        scalars |= {f"residual/{k}": v for k, v in result.get("residual", {}).items()}
+        log_scalars(folder, scalars, step)
+        videos = []
+        for env in (self.worlds.grounded(1, G, F), self.worlds.rewarded_target(1)):
+            with closing(env):
+                videos.append(record(env, deterministic(policy), 75, seed=step))
+        log_video(folder, "policy_in_grounded_and_target", side_by_side(*videos), step)
 
     def summary(self, steps: int) -> dict:
         """Write and return ``summary.json``."""

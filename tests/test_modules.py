@@ -286,12 +286,27 @@ def test_garat_learns_that_actions_do_half_as_much_in_the_target(trainer):
     assert after < 0.5 * before
 
 
+class Scaled(nn.Module):
+    """Features with a weight of their own."""
+
+    features = 1
+
+    def __init__(self):
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(()))
+
+    def encode(self, pixels):
+        return pixels.float() * self.weight
+
+
 def test_training_action_transformation_leaves_its_features_frozen(trainer):
-    encoder = StatePredictor(1, **SMALL).P_S
-    F = ActionTransformation(encoder, [-1.0], [1.0], hidden=(8,))
-    assert not any(p.requires_grad for p in F.encoder.parameters())
-    optimized = {id(p) for o in F.configure_optimizers() for g in o.param_groups for p in g["params"]}
-    assert not optimized & {id(p) for p in F.encoder.parameters()}
+    F = ActionTransformation(Scaled(), [-1.0], [1.0], hidden=(8,))
+    before = [p.clone() for p in F.actor.parameters()]
+    fit = trainer(2)
+    fit.fit(F, datamodule=LineData(F, rollouts=2))
+    assert F.encoder.weight == 1 and not F.encoder.weight.requires_grad
+    assert any(not torch.equal(a, b) for a, b in zip(before, F.actor.parameters(), strict=True))
+    optimized = {id(p) for o in fit.optimizers for g in o.param_groups for p in g["params"]}
     assert optimized == {id(p) for n, p in F.named_parameters() if not n.startswith("encoder.")}
 
 

@@ -1,0 +1,61 @@
+"""The pictures of the docs: the three domains, and a finished run's translation and transfer.
+
+    python benchmarks/pictures.py --run runs/inverted_pendulum_hard_0
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import closing
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import torch
+
+import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
+from cli.evaluate import load_policy
+from cli.fit import GroundingCLI, build
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.evaluation import deterministic, paired_stacks
+from idapt_pl.pictures import gif, record, side_by_side
+from idapt_pl.tasks import make_task
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def domains(task_name: str, size: int = 200) -> np.ndarray:
+    """Source, easy and hard in the same state, side by side; uint8 (H, W, 3)."""
+    task, frames = make_task(task_name), []
+    for domain in task.domains().values():
+        with closing(VectorImageEnv(task, domain, 1, size)) as env:
+            frames.append(env.set_state(0, np.array([0.15, 0.15]), np.zeros(2))[None])
+    return side_by_side(*frames, scale=1)[0]
+
+
+def transfer(run: Path) -> bytes:
+    """Source | translated | target in the same states, and the transferred policy in the target, as a GIF."""
+    grounding, _ = build(GroundingCLI(["--config", str(run / "config.yaml"), "--run_dir", str(run)]))
+    worlds, last = grounding.worlds, grounding.stages.folder(grounding.schedule.grounding_steps)
+    policy = load_policy(grounding, last / "policy/final.ckpt")
+    G = grounding.fit.make.visual(**worlds.dimensions)
+    G.load_state_dict(torch.load(last / "visual/final.ckpt", weights_only=True)["state_dict"])
+    source, target, _ = paired_stacks(worlds, policy, G, 75, seed=1)
+    frames = source if G.frames > 1 else source[:, -1:]
+    with closing(worlds.rewarded_target(1)) as env:
+        played = record(env, deterministic(policy), 75, seed=1)
+    return gif(side_by_side(source[:, -1], G.translate(frames)[:, -1], target[:, -1], played, scale=3))
+
+
+def main() -> None:
+    """Write the pictures."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--run", type=Path, help="finished run; without it only the domains are drawn")
+    o = p.parse_args()
+    iio.imwrite(DOCS / "domains.png", domains("inverted_pendulum"))
+    if o.run:
+        (DOCS / "transfer.gif").write_bytes(transfer(o.run))
+
+
+if __name__ == "__main__":
+    main()
