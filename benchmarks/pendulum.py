@@ -18,13 +18,35 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FIELDS = ("task", "target", "method", "seed", "grounding_step", "return", "target_interactions", "minutes", "commit", "cpu")
+FIELDS = (
+    "task",
+    "target",
+    "method",
+    "seed",
+    "grounding_step",
+    "return",
+    "target_interactions",
+    "minutes",
+    "commit",
+    "cpu",
+)
 
 
 def run(config: Path, seed: int, extra: list[str], name: str) -> tuple[dict, dict]:
     """One run, resumed or loaded if it was made before. Returns its summary and provenance."""
     folder = ROOT / "runs" / f"{name}_{seed}"
-    command = [sys.executable, "-m", "cli", "fit", "--config", str(config), "--seed", str(seed), "--run_dir", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "cli",
+        "fit",
+        "--config",
+        str(config),
+        "--seed",
+        str(seed),
+        "--run_dir",
+        str(folder),
+    ]
     if not (folder / "summary.json").exists():
         subprocess.run([*command, *extra], cwd=ROOT, check=True)
     return tuple(json.loads((folder / f"{f}.json").read_text()) for f in ("summary", "run"))
@@ -33,8 +55,12 @@ def run(config: Path, seed: int, extra: list[str], name: str) -> tuple[dict, dic
 def rows(summary: dict, provenance: dict, method: str) -> list[dict]:
     """Rows of the results table."""
     common = {
-        "task": summary["task"], "target": summary["target"], "seed": summary["seed"], "commit": provenance["git_commit"],
-        "cpu": provenance["cpu"], "target_interactions": summary["target_interactions"],
+        "task": summary["task"],
+        "target": summary["target"],
+        "seed": summary["seed"],
+        "commit": provenance["git_commit"],
+        "cpu": provenance["cpu"],
+        "target_interactions": summary["target_interactions"],
         "minutes": round(summary["wall_s"] / 60, 1),
     }
     found = [("direct transfer", "", summary["direct_transfer"]), ("visual only", 0, summary["visual_only"])]

@@ -1,6 +1,6 @@
 """The pictures of the docs: the three domains, and a finished run's translation and transfer.
 
-    python benchmarks/pictures.py --run runs/inverted_pendulum_hard_0
+python benchmarks/pictures.py --run runs/inverted_pendulum_hard_0
 """
 
 from __future__ import annotations

@@ -41,7 +41,9 @@ def main(args: list[str]) -> int:
             bar.update(env.num_envs)
             return policy(pixels)
 
-        trajectories = collect(env, act, o.steps, o.seed, f"idapt collect: {o.task} {o.domain} {o.policy} seed {o.seed}")
+        trajectories = collect(
+            env, act, o.steps, o.seed, f"idapt collect: {o.task} {o.domain} {o.policy} seed {o.seed}"
+        )
     write_trajectories(o.out, trajectories)
     print(f"{o.out}: {len(trajectories)} episodes, {trajectories.total_steps} steps, dt {trajectories.dt:g} s")
     return 0

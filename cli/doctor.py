@@ -144,7 +144,9 @@ def check_gpu() -> Check:
         return Check("GPU", "ok", f"{torch.cuda.get_device_name(0)}, {memory:.0f} GiB")
     if shutil.which("nvidia-smi"):
         found = f"torch {torch.__version__} does not see the NVIDIA GPU"
-        return Check("GPU", "warn", found, "install a CUDA build of torch that the driver supports: https://pytorch.org")
+        return Check(
+            "GPU", "warn", found, "install a CUDA build of torch that the driver supports: https://pytorch.org"
+        )
     return Check("GPU", "ok", "none; training runs on the CPU")
 
 

@@ -29,7 +29,12 @@ def main(args: list[str]) -> int:
     if not config.is_file():
         raise ValueError(f"{o.run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
     grounding, _ = build(GroundingCLI(["--config", str(config), "--run_dir", str(o.run)]))
-    result = {"run": str(o.run), "episodes": o.episodes, "seed": o.seed, "policies": measure(grounding, o.episodes, o.seed)}
+    result = {
+        "run": str(o.run),
+        "episodes": o.episodes,
+        "seed": o.seed,
+        "policies": measure(grounding, o.episodes, o.seed),
+    }
     write_json(o.run / f"evaluation_{o.episodes}_{o.seed}.json", result)
     if o.json:
         print(json.dumps(result, indent=2))
@@ -54,7 +59,9 @@ def measure(grounding: IterativeGrounding, episodes: int, seed: int) -> dict[str
         for domain, env in envs.items():
             with closing(env):
                 results[name][domain] = as_dict(evaluate(env, deterministic(policy), episodes, seed))
-        worlds.ledger.enter(-1, f"evaluation of {name}, {episodes} episodes, seed {seed}", results[name]["target"]["interactions"])
+        worlds.ledger.enter(
+            -1, f"evaluation of {name}, {episodes} episodes, seed {seed}", results[name]["target"]["interactions"]
+        )
     return results
 
 
@@ -66,8 +73,14 @@ def as_dict(r: Returns) -> dict:
 def policies(grounding: IterativeGrounding) -> list[tuple[str, Path]]:
     """Names and checkpoints of the run's finished policies, in the order they were trained."""
     run = grounding.stages.run_dir
-    found = [("direct transfer", run / "step_00/source_policy/final.ckpt"), ("visual grounding only", run / "step_00/policy/final.ckpt")]
-    found += [(f"IDAPT, grounding step {k}", grounding.stages.folder(k) / "policy/final.ckpt") for k in range(1, grounding.schedule.grounding_steps + 1)]
+    found = [
+        ("direct transfer", run / "step_00/source_policy/final.ckpt"),
+        ("visual grounding only", run / "step_00/policy/final.ckpt"),
+    ]
+    found += [
+        (f"IDAPT, grounding step {k}", grounding.stages.folder(k) / "policy/final.ckpt")
+        for k in range(1, grounding.schedule.grounding_steps + 1)
+    ]
     found += [("oracle", run / "step_00/oracle/final.ckpt")]
     existing = [(name, path) for name, path in found if path.exists()]
     if not existing:

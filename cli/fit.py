@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import logging
 import sys
 from pathlib import Path
 
@@ -69,7 +68,9 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
         parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
-        parser.add_argument("--view", type=float, default=1.0, help="share of the camera's view imaged, around its middle")
+        parser.add_argument(
+            "--view", type=float, default=1.0, help="share of the camera's view imaged, around its middle"
+        )
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
@@ -77,7 +78,9 @@ class GroundingCLI(LightningCLI):
         parser.add_class_arguments(Feeding, "feeding")
         parser.add_class_arguments(Vision, "vision")
         for name, module in MODULES.items():
-            parser.add_class_arguments(module, name, skip=DIMENSIONS | ({"encoder"} if name == "dynamics" else set()), instantiate=False)
+            parser.add_class_arguments(
+                module, name, skip=DIMENSIONS | ({"encoder"} if name == "dynamics" else set()), instantiate=False
+            )
         parser.add_lightning_class_args(L.Trainer, "trainer")
 
     def instantiate_classes(self) -> None:
@@ -105,8 +108,13 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     task = make_task(config.task)
     run_dir = Path(config.run_dir or f"runs/{config.task}_{config.target}_{config.seed}")
     worlds = Worlds(
-        task, task.domain("source"), task.domain(config.target), Ledger(run_dir / "ledger.json"),
-        config.image_size, config.frame_stack, config.view,
+        task,
+        task.domain("source"),
+        task.domain(config.target),
+        Ledger(run_dir / "ledger.json"),
+        config.image_size,
+        config.frame_stack,
+        config.view,
     )
     stages = Stages(run_dir, config.seed, cli.trainer_for)
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}

@@ -20,5 +20,7 @@ def print_summary(summary: dict, run_dir: Path) -> None:
     table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
     console = Console()
     console.print(table)
-    console.print(f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min")
+    console.print(
+        f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min"
+    )
     console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}")

@@ -58,7 +58,12 @@ class OnPolicyDataModule(L.LightningDataModule):
     """
 
     def __init__(
-        self, collect: Callable[[], Rollout], target: Sequence[Path | str], encode: Encode, frame_stack: int, rollouts: int
+        self,
+        collect: Callable[[], Rollout],
+        target: Sequence[Path | str],
+        encode: Encode,
+        frame_stack: int,
+        rollouts: int,
     ) -> None:
         super().__init__()
         self.collect, self.encode = collect, encode

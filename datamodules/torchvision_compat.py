@@ -18,7 +18,7 @@ _DECLARED: list[torch.library.Library] = []  # a Library is undone when it is co
 def ensure_torchvision() -> None:
     """Import torchvision, declaring its missing operators where that is what stops it."""
     try:
-        import torchvision  # noqa: F401
+        import torchvision
     except RuntimeError as error:
         if "torchvision::nms" not in str(error):
             raise

@@ -106,7 +106,9 @@ def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
                 _write_episode(f.create_group(f"episode_{i}"), i, episode)
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:  # h5py reports a full disk as either
-        raise OSError(f"could not write {path}: {error}. Nothing was left half-written; free some space and retry.") from None
+        raise OSError(
+            f"could not write {path}: {error}. Nothing was left half-written; free some space and retry."
+        ) from None
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -43,7 +42,12 @@ class Evaluation:
         env = self.worlds.rewarded_target(min(self.episodes, 25))
         with closing(env):
             result = evaluate(env, deterministic(policy), self.episodes, seed)
-        return {"mean": result.mean, "std": result.std, "returns": list(result.returns), "interactions": result.interactions}
+        return {
+            "mean": result.mean,
+            "std": result.std,
+            "returns": list(result.returns),
+            "interactions": result.interactions,
+        }
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
@@ -83,8 +87,12 @@ class Evaluation:
         self.worlds.ledger.enter(step, "evaluation", result["target"]["interactions"])
         log.info(
             "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
-            step, result["target"]["mean"], result["target"]["std"], result["grounded"]["mean"],
-            result.get("residual", "-"), result["translation"],
+            step,
+            result["target"]["mean"],
+            result["target"]["std"],
+            result["grounded"]["mean"],
+            result.get("residual", "-"),
+            result["translation"],
         )
         return result
 
@@ -93,8 +101,11 @@ class Evaluation:
     ) -> None:
         """The run's TensorBoard page: returns, residuals, and the policy in grounded source and target."""
         folder = self.stages.folder(step)
-        scalars = {"returns/target": result["target"]["mean"], "returns/grounded": result["grounded"]["mean"],
-                   "translation/psnr": result["translation"]["psnr"]}
+        scalars = {
+            "returns/target": result["target"]["mean"],
+            "returns/grounded": result["grounded"]["mean"],
+            "translation/psnr": result["translation"]["psnr"],
+        }
         scalars |= {f"residual/{k}": v for k, v in result.get("residual", {}).items()}
         log_scalars(folder, scalars, step)
         videos = []
@@ -105,6 +116,7 @@ class Evaluation:
 
     def summary(self, steps: int) -> dict:
         """Write and return ``summary.json``."""
+
         def read(step: int, name: str) -> dict | None:
             path = self.stages.folder(step) / f"{name}.json"
             return json.loads(path.read_text()) if path.exists() else None
@@ -137,6 +149,7 @@ def deterministic(policy: AsymmetricSAC) -> Act:
 
 def energy_distance(x: torch.Tensor, y: torch.Tensor) -> float:
     """2 E|X-Y| - E|X-X'| - E|Y-Y'|, zero iff the distributions agree (Székely & Rizzo 2013, eq. 2)."""
+
     def within(z: torch.Tensor) -> float:
         return float(torch.cdist(z, z).sum() / (len(z) * (len(z) - 1)))
 
@@ -144,13 +157,19 @@ def energy_distance(x: torch.Tensor, y: torch.Tensor) -> float:
 
 
 def residual(
-    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation, target: Sequence[Path], seed: int
+    worlds: Worlds,
+    policy: AsymmetricSAC,
+    G: VisualTransformation,
+    F: ActionTransformation,
+    target: Sequence[Path],
+    seed: int,
 ) -> dict[str, float]:
     """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
 
     Energy distance on standardised features. The floor is that between the two halves of the target's
     episodes: what sampling alone gives. The target's images and actions are all it uses.
     """
+
     def features(stacks: FrameStacks) -> torch.Tensor:
         return F.transition_input(encode_transitions(stacks, F.encode))
 
@@ -183,7 +202,9 @@ def paired_errors(
     source, target, states = paired_stacks(worlds, policy, G, steps, seed)
     n, k = source.shape[:2]
     frames = source if G.frames > 1 else source.reshape(n * k, 1, *source.shape[2:])
-    fake = np.concatenate([G.translate(part) for part in np.array_split(frames, len(frames) // 64 + 1)]).reshape(source.shape)
+    fake = np.concatenate([G.translate(part) for part in np.array_split(frames, len(frames) // 64 + 1)]).reshape(
+        source.shape
+    )
     error = np.square(fake[:, -1].astype(float) - target[:, -1]).mean()
 
     def mae(predictor: torch.nn.Module, pixels: np.ndarray) -> list[float]:

@@ -125,8 +125,13 @@ class Fitting:
             n = self.feeding.garat_envs
             env, head = self.worlds.grounded(n, G.to(device)), policy.to(device).actor
             roll = garat_rollout(
-                env, lambda features: head(features)[0], F, self.feeding.garat_rollout // n, seed,
-                explore(seed, n), round(self.feeding.garat_exploring * n),
+                env,
+                lambda features: head(features)[0],
+                F,
+                self.feeding.garat_rollout // n,
+                seed,
+                explore(seed, n),
+                round(self.feeding.garat_exploring * n),
             )
             return OnPolicyDataModule(roll, target, F.encode, self.worlds.frame_stack, rollouts)
 

@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 
-def lsgan(logits: Float[Tensor, "..."], real: bool) -> Float[Tensor, ""]:
+def lsgan(logits: Float[Tensor, ...], real: bool) -> Float[Tensor, ""]:
     """Least-squares GAN, E[(D(x) - y)²], y = 1 for real (Mao et al. 2017; Zhu et al. 2017, sec. 4)."""
     return (logits - float(real)).square().mean()
 
 
-def smoothed_bce(logits: Float[Tensor, "..."], real: bool) -> Float[Tensor, ""]:
+def smoothed_bce(logits: Float[Tensor, ...], real: bool) -> Float[Tensor, ""]:
     """Cross-entropy of the mean logit against 0.9 (real) or 0.1 (fake), as in the IDAPT authors' code."""
     label = logits.new_tensor(0.9 if real else 0.1)
     return nnf.binary_cross_entropy_with_logits(logits.mean(), label)
@@ -51,9 +51,13 @@ def generalized_advantage(
     """GAE: A_t = δ_t + γλ A_{t+1}, δ_t = r_t + γ V(s_{t+1}) - V(s_t) (Schulman et al. 2016, eq. 16).
 
     Args:
+        rewards: r_t.
+        values: V(s_t).
         next_values: V of the true successor, also where an episode was cut there.
         terminations: the task ended: nothing is bootstrapped.
         ends: an episode ended or was cut: nothing is carried across.
+        gamma: γ.
+        lam: λ.
     """
     delta = rewards + gamma * next_values * ~terminations - values
     advantages = torch.zeros_like(delta)
@@ -80,13 +84,11 @@ def sac_target(
     alpha: Float[Tensor, ""],
     gamma: float,
 ) -> Float[Tensor, " n"]:
-    """r + γ (1 - d)(min Q(s', a') - α log π(a'|o')), d = terminated, not truncated (Haarnoja et al. 2018, eq. 3)."""
+    """R + γ (1 - d)(min Q(s', a') - α log π(a'|o')), d = terminated, not truncated (Haarnoja et al. 2018, eq. 3)."""
     return rewards + gamma * ~terminations * (next_q - alpha * next_log_prob)
 
 
-def squashed_log_prob(
-    gaussian_log_prob: Float[Tensor, "n a"], pre_tanh: Float[Tensor, "n a"]
-) -> Float[Tensor, " n"]:
-    """log π(a) of a = tanh(u), u Gaussian: Σ log N(u) - log(1 - tanh²u), stably (Haarnoja et al. 2018, eq. 21)."""
+def squashed_log_prob(gaussian_log_prob: Float[Tensor, "n a"], pre_tanh: Float[Tensor, "n a"]) -> Float[Tensor, " n"]:
+    """Log π(a) of a = tanh(u), u Gaussian: Σ log N(u) - log(1 - tanh²u), stably (Haarnoja et al. 2018, eq. 21)."""
     log_slope = 2.0 * (0.6931471805599453 - pre_tanh - nnf.softplus(-2.0 * pre_tanh))
     return (gaussian_log_prob - log_slope).sum(-1)

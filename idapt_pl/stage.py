@@ -79,7 +79,9 @@ class Stages:
             if trainer.interrupted:
                 raise KeyboardInterrupt
         seconds = time.perf_counter() - started
-        write_json(folder / "stage.json", {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches})
+        write_json(
+            folder / "stage.json", {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}
+        )
         state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
         write_atomically(final, lambda path: torch.save(state, path))
         log.info("step %d  %-16s %5d batches  %6.1f s  -> %s", step, name, batches, seconds, final)

@@ -12,9 +12,7 @@ from cli.fit import GroundingCLI, build
 from cli.main import COMMANDS, main
 from datamodules import read_trajectories
 
-CONFIGS = sorted(
-    p for p in (ROOT / "configs").rglob("*.yaml") if not {"presets", "visual", "diagnose"} & set(p.parts)
-)
+CONFIGS = sorted(p for p in (ROOT / "configs").rglob("*.yaml") if not {"presets", "visual", "diagnose"} & set(p.parts))
 PRESETS = sorted((ROOT / "configs" / "presets").glob("*.yaml"))
 
 
@@ -122,16 +120,12 @@ def test_unknown_task_or_target_is_an_error_that_lists_the_known(option, words, 
 
 
 def test_evaluating_what_is_no_run_folder_is_an_error_that_says_what_to_give(tmp_path, capsys):
-    assert_short_error(
-        *run(["evaluate", "--run", tmp_path / "nothing"], capsys), 1, tmp_path / "nothing", "idapt fit"
-    )
+    assert_short_error(*run(["evaluate", "--run", tmp_path / "nothing"], capsys), 1, tmp_path / "nothing", "idapt fit")
 
 
 def test_evaluating_a_run_without_a_policy_says_how_to_resume_it(finished_run, tmp_path, capsys):
     (tmp_path / "config.yaml").write_text((finished_run / "config.yaml").read_text())
-    assert_short_error(
-        *run(["evaluate", "--run", tmp_path], capsys), 1, "no finished policy", "idapt fit --config"
-    )
+    assert_short_error(*run(["evaluate", "--run", tmp_path], capsys), 1, "no finished policy", "idapt fit --config")
 
 
 def test_evaluate_without_a_run_is_bad_usage(capsys):
@@ -185,9 +179,7 @@ def test_installed_command_reports_a_mistake_without_a_traceback():
 
 
 @pytest.mark.parametrize("domain", ["source", "hard"])
-def test_collect_writes_a_trajectory_file_that_shows_the_target_as_images_and_actions(
-    domain, tmp_path, capsys
-):
+def test_collect_writes_a_trajectory_file_that_shows_the_target_as_images_and_actions(domain, tmp_path, capsys):
     out = tmp_path / "d.h5"
     args = [
         "collect",
@@ -211,9 +203,7 @@ def test_collect_writes_a_trajectory_file_that_shows_the_target_as_images_and_ac
         assert (e.rewards is None) == (domain != "source")
 
 
-def test_evaluate_reports_every_policy_of_a_run_and_leaves_the_methods_total_alone(
-    finished_run, tmp_path, capsys
-):
+def test_evaluate_reports_every_policy_of_a_run_and_leaves_the_methods_total_alone(finished_run, tmp_path, capsys):
     folder = shutil.copytree(finished_run, tmp_path / "run")
     before = json.loads((folder / "ledger.json").read_text())
     code, printed = run(["evaluate", "--run", folder, "--episodes", "2", "--json"], capsys)
@@ -223,6 +213,4 @@ def test_evaluate_reports_every_policy_of_a_run_and_leaves_the_methods_total_alo
     for returns in result["policies"].values():
         assert len(returns["target"]["returns"]) == 2
     after = json.loads((folder / "ledger.json").read_text())
-    assert after["training_total"] == before["training_total"] and len(after["entries"]) > len(
-        before["entries"]
-    )
+    assert after["training_total"] == before["training_total"] and len(after["entries"]) > len(before["entries"])

@@ -73,9 +73,7 @@ def test_transitions_never_pair_across_an_episode_end(numbered, chunk):
 
 
 def test_labelled_images_gives_so_many_batches_of_matching_images_and_states(file):
-    data = LabelledImages(
-        [file("a.h5"), file("b.h5", [3], first=5)], frame_stack=2, batch_size=4, batches=6, seed=0
-    )
+    data = LabelledImages([file("a.h5"), file("b.h5", [3], first=5)], frame_stack=2, batch_size=4, batches=6, seed=0)
     data.setup("fit")
     batches = list(data.train_dataloader())
     assert len(batches) == 6
@@ -105,12 +103,8 @@ def test_unpaired_images_draws_each_domain_on_its_own_and_the_target_without_sta
 
 def test_batches_are_reproducible_by_seed(file):
     files = [file("s.h5")], [file("t.h5", state=False)]
-    a, b, c = (
-        drawn(UnpairedImages(*files, frame_stack=1, batch_size=4, batches=4, seed=s)) for s in (1, 1, 2)
-    )
-    same = [
-        all(torch.equal(x[d], y[d]) for x, y in zip(a, other, strict=True) for d in x) for other in (b, c)
-    ]
+    a, b, c = (drawn(UnpairedImages(*files, frame_stack=1, batch_size=4, batches=4, seed=s)) for s in (1, 1, 2))
+    same = [all(torch.equal(x[d], y[d]) for x, y in zip(a, other, strict=True) for d in x) for other in (b, c)]
     assert same == [True, False]
 
 

@@ -167,9 +167,7 @@ def test_contact_friction_sets_sliding_friction_alone(nominal):
 
 def test_gravity_direction_turns_gravity_and_keeps_its_strength(nominal):
     g = np.linalg.norm(nominal.opt.gravity)
-    np.testing.assert_allclose(
-        compiled(GravityDirection("world", 0.0, 0.0)).opt.gravity, [0, 0, -g], atol=1e-12
-    )
+    np.testing.assert_allclose(compiled(GravityDirection("world", 0.0, 0.0)).opt.gravity, [0, 0, -g], atol=1e-12)
     tilted = compiled(GravityDirection("world", 0.3, -0.2)).opt.gravity
     assert np.linalg.norm(tilted) == pytest.approx(g)
     about_x = compiled(GravityDirection("world", 0.3, 0.0)).opt.gravity
@@ -187,9 +185,7 @@ def test_numerics_lists_the_integrators():
 
 
 def test_camera_pose_looks_at_its_point_from_its_distance(nominal):
-    model = compiled(
-        CameraPose("view", azimuth=30, elevation=-40, distance=2, lookat=(0.1, 0.2, 0.3), fovy=30)
-    )
+    model = compiled(CameraPose("view", azimuth=30, elevation=-40, distance=2, lookat=(0.1, 0.2, 0.3), fovy=30))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     forward = -data.cam_xmat[0].reshape(3, 3)[:, 2]  # a camera looks along its -z

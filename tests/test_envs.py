@@ -33,9 +33,7 @@ def play(env, actions, seed=0):
     for action in actions:
         obs, rewards, terminations, truncations, infos = env.step(action)
         final = {f"final_{k}": v for k, v in infos.get("final_obs", {}).items()}
-        seen.append(
-            {**obs, **final, "rewards": rewards, "terminations": terminations, "truncations": truncations}
-        )
+        seen.append({**obs, **final, "rewards": rewards, "terminations": terminations, "truncations": truncations})
     return seen
 
 

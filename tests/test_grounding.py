@@ -41,9 +41,7 @@ def final_files(run):
 
 def test_stage_seed_is_stable_and_differs_by_run_step_and_stage():
     assert stage_seed(0, 1, "visual") == stage_seed(0, 1, "visual") == 2091422742
-    seeds = {
-        stage_seed(s, k, n) for s in range(5) for k in range(5) for n in ("visual", "policy", "dynamics")
-    }
+    seeds = {stage_seed(s, k, n) for s in range(5) for k in range(5) for n in ("visual", "policy", "dynamics")}
     assert len(seeds) == 75 and all(0 <= s < 2**31 for s in seeds)
 
 
@@ -187,9 +185,7 @@ def test_learning_changed_each_module(finished_run):
 
 def test_rerunning_a_finished_run_changes_nothing(finished_run, tiny_args):
     def contents():
-        return {
-            p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file() and p.name not in ("run.json",)
-        }
+        return {p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file() and p.name not in ("run.json",)}
 
     before = contents()
     assert main(["fit", *tiny_args(finished_run)]) == 0
@@ -204,9 +200,7 @@ def test_the_kept_config_alone_resumes_the_run(finished_run):
     assert (finished_run / "summary.json").read_bytes() == before
 
 
-def test_another_config_in_the_same_run_folder_is_refused_by_name_and_changes_nothing(
-    finished_run, tiny_args, capsys
-):
+def test_another_config_in_the_same_run_folder_is_refused_by_name_and_changes_nothing(finished_run, tiny_args, capsys):
     before = (finished_run / "config.yaml").read_text()
     assert main(["fit", *tiny_args(finished_run, schedule__interactions=61)]) == 1
     error = capsys.readouterr().err

@@ -29,9 +29,7 @@ def column(*values):
 def test_gae_with_lambda_one_is_discounted_return_minus_value():
     T, n, gamma = 7, 3, 0.9
     rewards, all_values = torch.randn(T, n), torch.randn(T + 1, n)
-    advantages = generalized_advantage(
-        rewards, all_values[:-1], all_values[1:], no(T, n), no(T, n), gamma, 1.0
-    )
+    advantages = generalized_advantage(rewards, all_values[:-1], all_values[1:], no(T, n), no(T, n), gamma, 1.0)
     for t in range(T):
         discounts = gamma ** torch.arange(T - t)[:, None]
         returns = (discounts * rewards[t:]).sum(0) + gamma ** (T - t) * all_values[-1]

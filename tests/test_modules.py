@@ -65,9 +65,7 @@ def fitted_P_S(trainer):
 
 def test_state_predictor_loss_halves_on_a_fixed_batch(fitted_P_S):
     *_, history = fitted_P_S
-    assert mean(history, "state_predictor/l1", slice(-3, None)) < 0.5 * mean(
-        history, "state_predictor/l1", slice(0, 1)
-    )
+    assert mean(history, "state_predictor/l1", slice(-3, None)) < 0.5 * mean(history, "state_predictor/l1", slice(0, 1))
 
 
 def test_state_predictor_predicts_in_the_states_own_units(fitted_P_S):
@@ -108,9 +106,7 @@ def test_visual_losses_fall_on_a_fixed_batch(trainer, fitted_P_S, translate):
     history = fit.history
     for name in ("visual/cycle", "visual/identity"):
         assert mean(history, name, slice(-5, None)) < 0.6 * mean(history, name, slice(0, 3)), name
-    total = [
-        sum(h[f"visual/{k}"] for k in ("g_target", "g_source", "cycle", "identity", "state")) for h in history
-    ]
+    total = [sum(h[f"visual/{k}"] for k in ("g_target", "g_source", "cycle", "identity", "state")) for h in history]
     assert np.mean(total[-5:]) < 0.7 * np.mean(total[:3])
 
 
@@ -119,9 +115,7 @@ def test_state_reconstruction_keeps_the_state_readable_after_translation(trainer
     module, fit = visual(state_weight=20.0, cycle_weight=0.0, identity_weight=0.0), trainer(60)
     module.adopt(P_S.P_S)
     fit.fit(module, datamodule=Fixed(paired_looks(pixels, state)))
-    assert mean(fit.history, "visual/state", slice(-5, None)) < 0.6 * mean(
-        fit.history, "visual/state", slice(0, 3)
-    )
+    assert mean(fit.history, "visual/state", slice(-5, None)) < 0.6 * mean(fit.history, "visual/state", slice(0, 3))
 
 
 def test_only_the_first_convolutions_of_P_T_are_trained(trainer, fitted_P_S):
@@ -243,16 +237,12 @@ def test_new_action_transformation_is_nearly_the_identity():
 
 
 def test_transformed_actions_stay_within_bounds_in_physical_units():
-    F = ActionTransformation(
-        Plain(), [-3.0, 0.0], [3.0, 10.0], hidden=(8,), smoothing=1.0, residual_scale=2.0
-    )
+    F = ActionTransformation(Plain(), [-3.0, 0.0], [3.0, 10.0], hidden=(8,), smoothing=1.0, residual_scale=2.0)
     actions = torch.tensor([[0.0, 5.0], [3.0, 10.0], [-3.0, 0.0]])
     for delta in (-5.0, 5.0):
         transformed = F.apply_residual(actions, torch.full((3, 2), delta))
         assert torch.equal(transformed, (F.low if delta < 0 else F.high).expand(3, 2))
-    torch.testing.assert_close(
-        F.apply_residual(actions, torch.full((3, 2), 0.1))[0], torch.tensor([0.6, 6.0])
-    )
+    torch.testing.assert_close(F.apply_residual(actions, torch.full((3, 2), 0.1))[0], torch.tensor([0.6, 6.0]))
     torch.testing.assert_close(F.normalise(torch.tensor([[0.0, 10.0]])), torch.tensor([[0.0, 1.0]]))
 
 
@@ -397,9 +387,7 @@ def test_grounded_environment_accepts_the_modules_as_they_are(cart):
     from idapt_pl.envs import VectorImageEnv
 
     G, F = visual(), ActionTransformation(StatePredictor(2, **SMALL).P_S, [-100.0], [100.0], hidden=(8,))
-    env = GroundedEnv(
-        VectorImageEnv(cart, cart.domain("source"), 2, SIZE, 2), G.translate, F.transform, G.frames
-    )
+    env = GroundedEnv(VectorImageEnv(cart, cart.domain("source"), 2, SIZE, 2), G.translate, F.transform, G.frames)
     obs, _ = env.reset(seed=0)
     obs, *_ = env.step(np.zeros((2, 1), np.float32))
     assert obs["pixels"].shape == (2, 2, SIZE, SIZE, 3) and obs["pixels"].dtype == np.uint8

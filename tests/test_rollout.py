@@ -40,16 +40,12 @@ def test_collected_episode_ends_with_its_own_last_observation_not_the_next_ones_
     first, *_ = collect(make(1), push(100.0), 12, 0, "test")
     assert first.terminations.tolist() == [False] * (len(first) - 1) + [True]
     assert abs(first.observations["state"][-1, 0]) > 0.5
-    np.testing.assert_allclose(
-        first.rewards, first.observations["state"][1:, 0], atol=1e-6
-    )  # reward = position after
+    np.testing.assert_allclose(first.rewards, first.observations["state"][1:, 0], atol=1e-6)  # reward = position after
 
 
 def test_collected_actions_lead_from_one_observation_to_the_next(make, cart):
     rng = np.random.default_rng(0)
-    (episode, *_) = collect(
-        make(1), lambda pixels: rng.uniform(-50, 50, (1, 1)).astype(np.float32), 6, 0, "test"
-    )
+    (episode, *_) = collect(make(1), lambda pixels: rng.uniform(-50, 50, (1, 1)).astype(np.float32), 6, 0, "test")
     replayed = make(1)
     replayed.reset(seed=0)
     for action, state in zip(episode.actions[:-1], episode.observations["state"][1:-1], strict=True):
@@ -60,9 +56,7 @@ def test_collected_actions_lead_from_one_observation_to_the_next(make, cart):
 def test_collect_is_reproducible_by_seed(make):
     def images(seed):
         env = make(2)
-        return np.concatenate(
-            [e.observations["pixels"] for e in collect(env, random_policy(env, seed), 20, seed, "")]
-        )
+        return np.concatenate([e.observations["pixels"] for e in collect(env, random_policy(env, seed), 20, seed, "")])
 
     np.testing.assert_array_equal(images(1), images(1))
     assert (images(1) != images(2)).any()
@@ -80,10 +74,7 @@ def test_collect_can_record_the_source_images_of_a_grounded_environment(make):
 @pytest.mark.parametrize("name", EXPLORATION)
 def test_exploration_stays_within_bounds_varies_and_is_reproducible(make, name):
     env = make(3)
-    a, b = (
-        np.stack([act(np.zeros(3)) for _ in range(200)])
-        for act in (EXPLORATION[name](env, 5) for _ in range(2))
-    )
+    a, b = (np.stack([act(np.zeros(3)) for _ in range(200)]) for act in (EXPLORATION[name](env, 5) for _ in range(2)))
     np.testing.assert_array_equal(a, b)
     assert a.shape == (200, 3, 1) and a.dtype == np.float32
     assert np.abs(a).max() <= 100 and a.std() > 5
@@ -130,9 +121,7 @@ def test_experience_pairs_each_observation_with_its_successor_also_at_the_end(ma
         np.testing.assert_array_equal(before["next_observation"], after["observation"])
     assert (rows[end]["next_observation"] != rows[end + 1]["observation"]).any()
     total = sum(r["rewards"][0] for r in rows[: end + 1])
-    assert act.recent_return == pytest.approx(total, rel=1e-5) or act._finished[0] == pytest.approx(
-        total, rel=1e-5
-    )
+    assert act.recent_return == pytest.approx(total, rel=1e-5) or act._finished[0] == pytest.approx(total, rel=1e-5)
 
 
 def test_experience_does_not_report_a_time_limit_as_termination(make):

@@ -62,9 +62,7 @@ def names_used(path):
     """Every identifier, attribute and string constant of a file."""
     used = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        used |= {
-            getattr(node, k) for k in ("id", "attr", "name", "arg") if isinstance(getattr(node, k, None), str)
-        }
+        used |= {getattr(node, k) for k in ("id", "attr", "name", "arg") if isinstance(getattr(node, k, None), str)}
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             used.add(node.value)
     return used
@@ -84,9 +82,7 @@ def test_algorithm_1_branches_on_no_stage_name():
     stages = {"state_predictor", "visual", "dynamics", "policy", "source_policy"}
     for node in ast.walk(ast.parse((ROOT / "idapt_pl/grounding.py").read_text())):
         if isinstance(node, ast.Compare):
-            constants = {
-                c.value for c in ast.walk(node) if isinstance(c, ast.Constant) and isinstance(c.value, str)
-            }
+            constants = {c.value for c in ast.walk(node) if isinstance(c, ast.Constant) and isinstance(c.value, str)}
             assert not constants & stages
 
 

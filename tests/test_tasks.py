@@ -18,9 +18,7 @@ def pendulum():
 
 
 def test_pendulum_agrees_with_gymnasium_on_observation_reward_and_termination():
-    env = VectorImageEnv(
-        make_task("inverted_pendulum"), make_task("inverted_pendulum").domain("source"), 1, 16
-    )
+    env = VectorImageEnv(make_task("inverted_pendulum"), make_task("inverted_pendulum").domain("source"), 1, 16)
     reference = gymnasium.make("InvertedPendulum-v5").unwrapped
     for field in ("body_mass", "body_inertia", "body_subtreemass"):  # the task's mass is the older MuJoCo's
         getattr(reference.model, field)[:] = getattr(env.model, field)

@@ -116,9 +116,7 @@ def test_missing_group_or_dataset_is_an_error_that_names_file_and_episode(writte
         ("timestamps", np.array([0.0, 1.0, 3.0, 2.0, 4.0]), "timestamps must be 5 increasing"),
     ],
 )
-def test_wrong_shape_is_an_error_that_names_file_dataset_and_what_was_expected(
-    written, dataset, value, message
-):
+def test_wrong_shape_is_an_error_that_names_file_dataset_and_what_was_expected(written, dataset, value, message):
     with h5py.File(written, "a") as f:
         del f["episode_0"][dataset]
         f["episode_0"][dataset] = value

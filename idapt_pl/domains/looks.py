@@ -106,6 +106,4 @@ class Texture(Effect):
             settings = {k: getattr(sky, k) for k in ("builtin", "rgb1", "rgb2", "mark", "markrgb", "random")}
         else:
             settings = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT, "rgb1": self.flat, "rgb2": self.flat}
-        spec.add_texture(
-            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings
-        )
+        spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings)

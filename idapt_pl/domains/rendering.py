@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import weakref
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -27,7 +28,7 @@ class FrameRenderer:
         RenderingUnavailable: if the machine has no working GL backend.
     """
 
-    _alive: weakref.WeakSet[FrameRenderer] = weakref.WeakSet()
+    _alive: ClassVar[weakref.WeakSet[FrameRenderer]] = weakref.WeakSet()
 
     def __init__(self, model: mujoco.MjModel, size: int) -> None:
         self.size = size

@@ -17,7 +17,8 @@ class GroundedEnv(gymnasium.vector.VectorWrapper):
     """Source environment that looks and moves like the target.
 
     Each step: ô^T = G(o^S); the policy chooses a^T from ô^T; â^S = F(ô^T, a^T); the source steps with â^S.
-    Reward and state are the source's; ``source_pixels`` in the observation is o^S. With G and F left out (identity) the source is reproduced bit for bit.
+    Reward and state are the source's; ``source_pixels`` in the observation is o^S. With G and F left out
+    (identity) the source is reproduced bit for bit.
 
     Args:
         env: the source environment.

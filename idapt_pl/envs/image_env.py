@@ -31,7 +31,15 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         view: share of the camera's field of view that is imaged, around its middle.
     """
 
-    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, image_size: int = 64, frame_stack: int = 3, view: float = 1.0):
+    def __init__(
+        self,
+        task: Task,
+        domain: Domain,
+        num_envs: int = 1,
+        image_size: int = 64,
+        frame_stack: int = 3,
+        view: float = 1.0,
+    ):
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)

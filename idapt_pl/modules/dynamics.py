@@ -68,7 +68,9 @@ class ActionTransformation(ManualModule):
         super().__init__()
         self.save_hyperparameters(ignore=["encoder"])
         if epochs < 1 or discriminator_batches < 1:
-            raise ValueError(f"epochs and discriminator_batches must be at least 1, got {epochs}, {discriminator_batches}")
+            raise ValueError(
+                f"epochs and discriminator_batches must be at least 1, got {epochs}, {discriminator_batches}"
+            )
         low, high = torch.tensor(action_low), torch.tensor(action_high)
         d, nu = encoder.features, len(low)
         self.encoder = encoder.requires_grad_(False).eval()
@@ -157,7 +159,11 @@ class ActionTransformation(ManualModule):
             penalty = gradient_penalty(self.D, a, t) if w.gradient_penalty_weight else bce.new_zeros(())
             self.descend(opt, bce + w.gradient_penalty_weight * penalty)
         accuracy = 0.5 * ((logit_a > 0).float().mean() + (logit_t < 0).float().mean())
-        return {"dynamics/d_loss": bce.detach(), "dynamics/d_accuracy": accuracy, "dynamics/gradient_penalty": penalty.detach()}
+        return {
+            "dynamics/d_loss": bce.detach(),
+            "dynamics/d_accuracy": accuracy,
+            "dynamics/gradient_penalty": penalty.detach(),
+        }
 
     def ppo_steps(self, agent: dict[str, Tensor], rewards: Tensor) -> dict[str, Tensor]:
         """PPO on a rollout of shape (t, n)."""

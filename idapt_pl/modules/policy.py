@@ -22,7 +22,11 @@ class ImageActor(nn.Module):
     """π(a|o): encoder f and an MLP head, a tanh-squashed Gaussian scaled to the action bounds."""
 
     def __init__(
-        self, encoder: PixelEncoder | PixelStatePredictor, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int]
+        self,
+        encoder: PixelEncoder | PixelStatePredictor,
+        action_low: Sequence[float],
+        action_high: Sequence[float],
+        hidden: Sequence[int],
     ) -> None:
         super().__init__()
         low, high = torch.tensor(action_low), torch.tensor(action_high)
@@ -209,8 +213,11 @@ class AsymmetricSAC(ManualModule):
             target = self.hparams.target_entropy
             target = -float(action.shape[-1]) if target is None else target
             self.descend(opt_alpha, -(self.log_alpha.exp() * (log_prob.detach() + target)).mean())
-        return {"policy/actor_loss": loss.detach(), "policy/entropy": -log_prob.detach().mean(),
-                "policy/temperature": self.log_alpha.exp().detach()}
+        return {
+            "policy/actor_loss": loss.detach(),
+            "policy/entropy": -log_prob.detach().mean(),
+            "policy/temperature": self.log_alpha.exp().detach(),
+        }
 
     @torch.no_grad()
     def track_critic(self) -> None:
@@ -223,7 +230,9 @@ class AsymmetricSAC(ManualModule):
         groups = (self.critic.parameters(), actor, [self.log_alpha])
         optimizers = [torch.optim.Adam(g, lr=self.hparams.lr, fused=True) for g in groups]
         if supervised:
-            optimizers.append(torch.optim.Adam(self.actor.encoder.parameters(), lr=self.hparams.lr_estimator, fused=True))
+            optimizers.append(
+                torch.optim.Adam(self.actor.encoder.parameters(), lr=self.hparams.lr_estimator, fused=True)
+            )
         total, floor = self.trainer.max_epochs * self.trainer.num_training_batches, self.hparams.lr_floor
 
         def linear(step: int) -> float:

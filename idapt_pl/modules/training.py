@@ -28,7 +28,9 @@ class ManualModule(L.LightningModule):
 
     def log_at(self, step: float, metrics: dict[str, Tensor | float]) -> None:
         """Log scalars with ``step`` as the x axis."""
-        self.log_dict({k: float(v.detach() if isinstance(v, Tensor) else v) for k, v in metrics.items()}, prog_bar=False)
+        self.log_dict(
+            {k: float(v.detach() if isinstance(v, Tensor) else v) for k, v in metrics.items()}, prog_bar=False
+        )
         self.log("step", float(step), prog_bar=False)
 
 

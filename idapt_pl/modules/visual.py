@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
+from torchvision.utils import make_grid
 
 from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules.image_pool import ImagePool
@@ -116,9 +117,11 @@ class VisualTransformation(ManualModule):
             self.descend(opt_d, d_T + d_S)
         for schedule in self.lr_schedulers():
             schedule.step()
-        self.log_at(index, {**{f"visual/{k}": v for k, v in parts.items()}, "visual/d_target": d_T, "visual/d_source": d_S})
+        self.log_at(
+            index, {**{f"visual/{k}": v for k, v in parts.items()}, "visual/d_target": d_T, "visual/d_source": d_S}
+        )
         if index % self.hparams.images_every == 0:
-            self.log_grid("visual/source_translated_cycled_target", batch)
+            self.log_grid(batch, index)
 
     def adversarial_input(self, batch: dict[str, Tensor]) -> Tensor:
         """What the GAN losses see: the newest frame of each stack, or the whole stack as channels."""
@@ -150,7 +153,7 @@ class VisualTransformation(ManualModule):
         return fake_S, fake_T, parts
 
     def older_frames(self, source: dict[str, Tensor]) -> Tensor:
-        """The frames that only state reconstruction needs: all but the newest, if P^T looks at a stack that G does not."""
+        """The frames that only state reconstruction needs: the older ones, if P^T looks at a stack and G at a frame."""
         needs = self.frames == 1 and self.P_T is not None and not self.P_T.rates and self.hparams.state_weight
         if not needs:
             return stack_channels(source["pixels"][:0, : self.frames])
@@ -169,16 +172,16 @@ class VisualTransformation(ManualModule):
         return 0.5 * (gan(D(real), True) + gan(D(fake), False))
 
     @torch.no_grad()
-    def log_grid(self, tag: str, batch: dict) -> None:
-        """Rows of a TensorBoard image: source, G(source), cycle, target, G_back(target)."""
+    def log_grid(self, batch: dict, index: int) -> None:
+        """A TensorBoard image with the rows source, G(source), cycle, target, G_back(target)."""
         if self.logger is None:
             return
         S, T = (self.adversarial_input(batch[d])[:4] for d in ("source", "target"))
         with fast_precision(self.device, self.hparams.bf16):
             fake = self.G(S)
-            rows = [S, fake, self.G_back(fake), T, self.G_back(T)]
-        grid = torch.cat([to_pixels(r[:, -3:]).cpu().flatten(1, 2).unflatten(1, (-1, S.shape[-1])).movedim(0, 1).flatten(1, 2) for r in rows])
-        self.logger.experiment.add_image(tag, grid.numpy(), self.trainer.current_epoch * self.trainer.num_training_batches + self.trainer.fit_loop.batch_idx, dataformats="HWC")
+            rows = torch.cat([S, fake, self.G_back(fake), T, self.G_back(T)])
+        grid = make_grid(rows[:, -3:].float().cpu() / 2 + 0.5, nrow=len(S))
+        self.logger.experiment.add_image("visual/source_translated_cycled_target_back", grid, index)
 
     def configure_optimizers(self) -> tuple[list, list]:
         w = self.hparams

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 from idapt_pl.nets.images import center_crop, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
 
-
 Pool = Literal["flatten", "keypoints"]
 
 

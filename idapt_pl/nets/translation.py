@@ -55,7 +55,11 @@ class ResnetGenerator(nn.Module):
 
     def __init__(self, channels: int = 3, width: int = 64, blocks: int = 9) -> None:
         super().__init__()
-        layers = [conv_block(channels, width, 7), conv_block(width, 2 * width, 3, 2), conv_block(2 * width, 4 * width, 3, 2)]
+        layers = [
+            conv_block(channels, width, 7),
+            conv_block(width, 2 * width, 3, 2),
+            conv_block(2 * width, 4 * width, 3, 2),
+        ]
         layers += [ResidualBlock(4 * width) for _ in range(blocks)]
         for ins, outs in ((4 * width, 2 * width), (2 * width, width)):
             layers.append(
@@ -88,7 +92,11 @@ class PatchDiscriminator(nn.Module):
         for i in range(layers):
             ins, outs = width * min(2**i, 8), width * min(2 ** (i + 1), 8)
             stride = 2 if i < layers - 1 else 1
-            body += [nn.Conv2d(ins, outs, 4, stride, 1), nn.InstanceNorm2d(outs, affine=True), nn.LeakyReLU(0.2, inplace=True)]
+            body += [
+                nn.Conv2d(ins, outs, 4, stride, 1),
+                nn.InstanceNorm2d(outs, affine=True),
+                nn.LeakyReLU(0.2, inplace=True),
+            ]
         self.body = nn.Sequential(*body, nn.Conv2d(width * min(2**layers, 8), 1, 4, 1, 1))
         self.apply(gan_init)
 

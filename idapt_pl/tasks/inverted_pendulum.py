@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -19,7 +20,7 @@ class InvertedPendulum(Task):
     name = "inverted_pendulum"
     frame_skip = 2
     horizon = 1000
-    rates = {2: 0, 3: 1}
+    rates: ClassVar[dict[int, int]] = {2: 0, 3: 1}
 
     def base(self) -> mujoco.MjSpec:
         xml = importlib.resources.files("gymnasium") / "envs/mujoco/assets/inverted_pendulum.xml"
@@ -48,8 +49,11 @@ class InvertedPendulum(Task):
             Light("lamp", diffuse=(0.7, 0.7, 0.7), ambient=(0, 0, 0), specular=(0.3, 0.3, 0.3), position=(0, 0, 1.5)),
             Light("headlight", diffuse=(0.6, 0.6, 0.6), ambient=(0.3, 0.3, 0.3), specular=(0, 0, 0)),
         )
-        return {"source": source, "easy": Domain("easy", easy.base, easy.effects),
-                "hard": Domain("hard", hard.base, hard.effects)}
+        return {
+            "source": source,
+            "easy": Domain("easy", easy.base, easy.effects),
+            "hard": Domain("hard", hard.base, hard.effects),
+        }
 
     def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
         data.qpos[:] = model.qpos0 + rng.uniform(-0.01, 0.01, model.nq)
