@@ -23,4 +23,4 @@ def print_summary(summary: dict, run_dir: Path) -> None:
     console.print(
         f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min"
     )
-    console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}")
+    console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}", soft_wrap=True)
