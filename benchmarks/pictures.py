@@ -40,11 +40,11 @@ def transfer(run: Path) -> bytes:
     policy = load_policy(grounding, last / "policy/final.ckpt")
     G = grounding.fit.make.visual(**worlds.dimensions)
     G.load_state_dict(torch.load(last / "visual/final.ckpt", weights_only=True)["state_dict"])
-    source, target, _ = paired_stacks(worlds, policy, G, 75, seed=1)
+    source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:
-        played = record(env, deterministic(policy), 75, seed=1)
-    return gif(side_by_side(source[:, -1], G.translate(frames)[:, -1], target[:, -1], played, scale=3))
+        played = record(env, deterministic(policy), 40, seed=1)
+    return gif(side_by_side(source[:, -1], G.translate(frames)[:, -1], target[:, -1], played))
 
 
 def main() -> None:
