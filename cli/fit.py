@@ -14,6 +14,7 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli.provenance import write_provenance
 from cli.table import print_summary
+from idapt_pl.domains import View
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Factories, Feeding, Fitting
 from idapt_pl.grounding import IterativeGrounding, Schedule
@@ -68,9 +69,7 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
         parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
-        parser.add_argument(
-            "--view", type=float, default=1.0, help="share of the camera's view imaged, around its middle"
-        )
+        parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")

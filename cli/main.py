@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import keyword
 import logging
 import re
 import sys
@@ -13,6 +14,7 @@ COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
     "collect": "write a trajectory file from a task, domain and policy",
     "evaluate": "target and source returns of a finished run",
+    "import": "turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file",
     "doctor": "what works on this machine, and how to cure what does not",
 }
 
@@ -55,7 +57,8 @@ def main(argv: list[str] | None = None) -> int:
     for message in HARMLESS:
         warnings.filterwarnings("ignore", message)
     try:
-        return importlib.import_module(f"cli.{name}").main(rest)
+        module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
+        return importlib.import_module(f"cli.{module}").main(rest)
     except argparse.ArgumentError as error:
         print(f"idapt {name}: {plain(error)}. `idapt {name} --help` lists what there is.", file=sys.stderr)
         return 2

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from idapt_pl.domains import View
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 
 K, SIZE, N = 3, 16, 2
@@ -181,11 +182,24 @@ def test_observations_and_actions_have_the_declared_spaces(make):
 
 def test_view_shows_the_middle_of_the_image(make):
     """Half the view at half the size is the middle of the whole image, up to resampling."""
-    whole, part = make(1), make(1, view=0.5)
+    whole, part = make(1), make(1, view=View(0.5))
     wide, near = (env.reset(seed=0)[0]["pixels"][0, -1].astype(float) for env in (whole, part))
     middle = wide[SIZE // 4 : -SIZE // 4, SIZE // 4 : -SIZE // 4]
     shrunk = near.reshape(SIZE // 2, 2, SIZE // 2, 2, 3).mean((1, 3))
     assert np.abs(middle - shrunk).mean() < 8 < np.abs(wide - near).mean()
+
+
+def test_view_up_shows_what_lies_above(make):
+    whole, part = make(1), make(1, view=View(0.5, up=0.25))
+    wide, near = (env.reset(seed=0)[0]["pixels"][0, -1].astype(float) for env in (whole, part))
+    shrunk = near.reshape(SIZE // 2, 2, SIZE // 2, 2, 3).mean((1, 3))
+    above, below = wide[: SIZE // 2, SIZE // 4 : -SIZE // 4], wide[SIZE // 2 :, SIZE // 4 : -SIZE // 4]
+    assert np.abs(above - shrunk).mean() < 8 < np.abs(below - shrunk).mean()
+
+
+def test_a_view_larger_than_the_image_is_refused():
+    with pytest.raises(ValueError, match=r"view.share must be in \(0, 1\], got 2"):
+        View(2.0)
 
 
 def test_set_state_shows_the_state_it_was_given(make):

@@ -12,6 +12,30 @@ from idapt_pl.domains.effects import Effect
 
 
 @dataclass(frozen=True)
+class View:
+    """Which part of the camera's image is rendered: a square window, at full resolution.
+
+    Args:
+        share: side of the window, as a share of the whole image's.
+        up: how far the window's middle lies above the image's, in the same measure.
+    """
+
+    share: float = 1.0
+    up: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.share <= 1:
+            raise ValueError(f"view.share must be in (0, 1], got {self.share:g}")
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        """Narrow every camera to the window. Lengths are in units of the whole image."""
+        for camera in spec.cameras:
+            focal = 0.5 / np.tan(np.deg2rad(camera.fovy) / 2)
+            camera.focal_length, camera.sensor_size = [focal] * 2, [self.share] * 2
+            camera.principal_length = [0, -self.up]
+
+
+@dataclass(frozen=True)
 class Domain:
     """One world: a base model and what is different about it.
 
@@ -36,7 +60,7 @@ class Domain:
             effect.apply(spec)
         return spec
 
-    def compile(self, view: float = 1.0) -> mujoco.MjModel:
+    def compile(self, view: View = View()) -> mujoco.MjModel:
         """The compiled model, with rendering sized for small images.
 
         MuJoCo sizes its shadow map for a screen; at 64 to 100 pixels it costs up to 100x the frame and
@@ -44,11 +68,11 @@ class Domain:
         steps of a pixel, and the speed of a pole cannot be read from three small frames.
 
         Args:
-            view: share of the camera's field of view that is imaged, around its middle.
+            view: the part of the camera's image that is wanted.
         """
         spec = self.spec()
-        for camera in spec.cameras:
-            camera.fovy = np.rad2deg(2 * np.arctan(view * np.tan(np.deg2rad(camera.fovy) / 2)))
+        if view != View():
+            view.apply(spec)
         spec.visual.quality.shadowsize = 0
         spec.visual.quality.offsamples = 4
         return spec.compile()

@@ -224,3 +224,123 @@ class Numerics(Effect):
             raise ValueError(f"numerics: integrator must be one of {', '.join(kinds)}, got {self.integrator!r}")
         spec.option.timestep = self.timestep
         spec.option.integrator = getattr(mujoco.mjtIntegrator, kinds[self.integrator])
+
+
+def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:
+    """Bodies with their mass, centre and inertia written out, as MuJoCo computes them from the geoms."""
+    bodies = elements(spec, "bodies", target)
+    model = spec.copy().compile()
+    for body in bodies:
+        compiled = model.body(body.name) if body.name else model.body(body.id)
+        if not body.explicitinertial:
+            body.explicitinertial = True
+            body.mass = float(compiled.mass[0])
+            body.ipos, body.iquat, body.inertia = compiled.ipos, compiled.iquat, compiled.inertia
+    return bodies
+
+
+@dataclass(frozen=True)
+class BodyCom(Effect):
+    """Centre of mass of a body, moved from where the model has it, in the body's frame."""
+
+    name: ClassVar[str] = "body_com"
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in explicit_inertial(spec, self.target):
+            body.ipos = np.asarray(body.ipos) + (self.x, self.y, self.z)
+
+
+@dataclass(frozen=True)
+class BodyInertia(Effect):
+    """Mass, centre and rotational inertia of a body at once, each relative to what the model has."""
+
+    name: ClassVar[str] = "body_inertia"
+    mass: float = parameter("1", 1e-3, 1e3, default=1.0)
+    rotation: float = parameter("1", 1e-3, 1e3, default=1.0)
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in explicit_inertial(spec, self.target):
+            body.mass *= self.mass
+            body.inertia = np.asarray(body.inertia) * self.rotation
+            body.fullinertia = np.asarray(body.fullinertia) * self.rotation
+            body.ipos = np.asarray(body.ipos) + (self.x, self.y, self.z)
+
+
+@dataclass(frozen=True)
+class Payload(Effect):
+    """A point mass fixed to a body, at a place in the body's frame."""
+
+    name: ClassVar[str] = "payload"
+    mass: float = parameter("kg", 0.0, 1e5)
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in elements(spec, "bodies", self.target):
+            if self.mass:
+                load = body.add_body(pos=(self.x, self.y, self.z))
+                load.explicitinertial, load.mass, load.inertia = True, self.mass, [1e-9 * self.mass] * 3
+
+
+@dataclass(frozen=True)
+class JointStiffness(_JointEffect):
+    """Linear spring of a joint, pulling to its ``springref``."""
+
+    name: ClassVar[str] = "joint_stiffness"
+    stiffness: float = parameter("N·m/rad or N/m", 0.0, 1e6)
+
+    def edit(self, joint: Any) -> None:
+        joint.stiffness[0] = self.stiffness
+
+
+@dataclass(frozen=True)
+class JointSpringref(_JointEffect):
+    """Where a joint's spring is at rest."""
+
+    name: ClassVar[str] = "joint_springref"
+    springref: float = parameter("rad or m", -1e3, 1e3)
+
+    def edit(self, joint: Any) -> None:
+        joint.springref = self.springref
+
+
+@dataclass(frozen=True)
+class JointDrag(_JointEffect):
+    """Quadratic drag of a joint, against its motion: torque = -drag |v| v (MuJoCo's polynomial damping)."""
+
+    name: ClassVar[str] = "joint_drag"
+    drag: float = parameter("N·m·s²/rad² or N·s²/m²", 0.0, 1e6)
+
+    def edit(self, joint: Any) -> None:
+        joint.damping[1] = self.drag
+
+
+@dataclass(frozen=True)
+class ContactSoftness(Effect):
+    """Time constant of contacts (``solref[0]``): the larger, the softer."""
+
+    name: ClassVar[str] = "contact_softness"
+    time_constant: float = parameter("s", 1e-4, 1e1)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for geom in elements(spec, "geoms", self.target):
+            geom.solref[0] = self.time_constant
+
+
+@dataclass(frozen=True)
+class FluidDrag(Effect):
+    """The medium everything moves through (MuJoCo's inertia-box model). Target is ``"world"``."""
+
+    name: ClassVar[str] = "fluid_drag"
+    density: float = parameter("kg/m³", 0.0, 1e5, default=0.0)
+    viscosity: float = parameter("Pa·s", 0.0, 1e5, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        spec.option.density, spec.option.viscosity = self.density, self.viscosity

@@ -1,0 +1,325 @@
+"""The cases: what is hidden in which model, how it is recorded, and which answers are right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from benchmarks.undeclared import hidden
+from benchmarks.undeclared.hidden import Part, Truth
+from benchmarks.undeclared.models import MODELS, Noise
+
+Answer = frozenset[tuple[str, str]]  # effects found, each (effect, target)
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """How the true world is integrated: the nominal time step divided, and an integrator (None: the nominal one)."""
+
+    divide: int = 1
+    integrator: str | None = None
+
+
+SAME = Numerics()
+FINE = Numerics(5, "implicitfast")
+RK4 = Numerics(1, "RK4")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One entry of the benchmark.
+
+    Attributes:
+        name: of the case.
+        model: key of ``models.MODELS``.
+        truth: the hidden effects; empty for a control.
+        kind: ``single``, ``double`` (two or more at once), ``outside`` (of the library), ``confounded``
+            (several effects fit equally well) or ``control`` (nothing is hidden).
+        accept: the right answers, each a set of (effect, target). A class that is reported is right if its members
+            are among the accepted ones. Empty for ``outside``, where the verdict should be ``unexplained_residual``.
+            ``("numerics", "world")`` may be added to any answer where :attr:`other_numerics` is true.
+        parts: how the truth is made.
+        numerics: of the true world.
+        noise: of the sensors.
+        amplitude: factor on the model's command amplitude.
+        still: episodes start at rest in the middle of the start range.
+        may_abstain: ``insufficient_excitation`` is right as well.
+    """
+
+    name: str
+    model: str
+    truth: tuple[Truth, ...]
+    kind: str
+    accept: tuple[Answer, ...]
+    parts: tuple[Part, ...]
+    numerics: Numerics
+    noise: Noise
+    amplitude: float = 1.0
+    still: bool = False
+    may_abstain: bool = False
+
+    @property
+    def other_numerics(self) -> bool:
+        """Whether the true world is integrated otherwise than the nominal model."""
+        return self.numerics != SAME
+
+
+CASES: dict[str, Case] = {}
+
+
+def _add(
+    name: str,
+    model: str,
+    *parts: Part,
+    kind: str | None = None,
+    also: tuple[set[tuple[str, str]], ...] = (),
+    numerics: Numerics = FINE,
+    noise: Noise | None = None,
+    **settings: float | bool,
+) -> None:
+    """Register a case; the truth itself is the first accepted answer, ``also`` are the others."""
+    assert name not in CASES, name
+    truth = tuple(part.truth for part in parts)
+    kind = kind or ("control", "single", "double")[min(len(parts), 2)]
+    answers = [frozenset((t.effect, t.target) for t in truth), *map(frozenset, also)]
+    accept = () if kind == "outside" else tuple(answers)
+    noise = noise or MODELS[model].noise
+    CASES[name] = Case(name, model, truth, kind, accept, parts, numerics, noise, **settings)
+
+
+# --- inverted pendulum: one actuator, unstable, short episodes -------------------------------------------
+
+PENDULUM = "inverted_pendulum"
+SLIDE_FORCE = ({("actuator_bias", "slide")}, {("actuator_bias", "*")}, {("external_force", "cart")})
+ONE_DELAY = ({("actuator_delay", "slide")}, {("sensor_delay", "*")}, {("sensor_delay", "world")})
+
+_add("pendulum_slider_damping", PENDULUM, hidden.joint_damping("slider", 5.0))
+_add("pendulum_hinge_damping", PENDULUM, hidden.joint_damping("hinge", 1.5), numerics=SAME)
+_add("pendulum_gain", PENDULUM, hidden.motor_gain("slide", 0.85), also=({("actuator_gain", "*")},))
+_add("pendulum_pole_mass", PENDULUM, hidden.body_mass("pole", 7.0), numerics=SAME)
+_add(
+    "pendulum_pole_com",
+    PENDULUM,
+    hidden.body_com("pole", (0.0, 0.0, 0.06)),
+    also=({("body_inertia", "pole")},),
+)
+_add("pendulum_tilt", PENDULUM, hidden.tilt(tilt_y=0.035))
+_add("pendulum_frictionloss", PENDULUM, hidden.joint_frictionloss("slider", 10.0))
+_add("pendulum_delay", PENDULUM, hidden.command_delay(0.04), also=ONE_DELAY, numerics=SAME)
+_add("pendulum_lag", PENDULUM, hidden.command_lag("slide", 0.04), also=({("actuator_lag", "*")},))
+_add("pendulum_slide_bias", PENDULUM, hidden.command_bias("slide", 0.12), kind="confounded", also=SLIDE_FORCE)
+_add(
+    "pendulum_cart_force",
+    PENDULUM,
+    hidden.external_force("cart", (-12.0, 0.0, 0.0)),
+    kind="confounded",
+    also=SLIDE_FORCE,
+    numerics=SAME,
+)
+_add(
+    "pendulum_mass_and_friction",
+    PENDULUM,
+    hidden.body_mass("pole", 6.8),
+    hidden.joint_frictionloss("slider", 12.0),
+)
+
+# --- half cheetah: contacts, springs, a coarse time step -------------------------------------------------
+
+CHEETAH = "half_cheetah"
+BTHIGH_SPRING = ({("joint_springref", "bthigh")}, {("actuator_bias", "bthigh")})
+ALL_DELAY = ({("sensor_delay", "*")}, {("sensor_delay", "world")})
+
+_add("cheetah_bthigh_gain", CHEETAH, hidden.motor_gain("bthigh", 0.8))
+_add("cheetah_weak_battery", CHEETAH, hidden.motor_gain("*", 0.85))
+_add("cheetah_fshin_damping", CHEETAH, hidden.joint_damping("fshin", 5.0))
+_add("cheetah_bshin_frictionloss", CHEETAH, hidden.joint_frictionloss("bshin", 6.0), numerics=SAME)
+_add("cheetah_delay", CHEETAH, hidden.command_delay(0.05), also=ALL_DELAY)
+_add("cheetah_half_delay", CHEETAH, hidden.command_delay(0.024), also=ALL_DELAY)
+_add("cheetah_slippery_floor", CHEETAH, hidden.contact_friction("*", 0.15))
+_add(
+    "cheetah_grippy_floor",
+    CHEETAH,
+    hidden.contact_friction("floor", 0.9),
+    also=({("contact_friction", "*")},),
+    numerics=SAME,
+)
+_add(
+    "cheetah_soft_contact",
+    CHEETAH,
+    hidden.contact_softness(0.06),
+    also=({("contact_softness", "floor")},),
+)
+_add(
+    "cheetah_payload",
+    CHEETAH,
+    hidden.payload("torso", 2.0, (-0.3, 0.0, 0.08)),
+    also=({("body_inertia", "torso")},),
+)
+_add("cheetah_torso_mass", CHEETAH, hidden.body_mass("torso", 8.0), numerics=SAME)
+_add("cheetah_tilt", CHEETAH, hidden.tilt(tilt_y=0.07))
+_add("cheetah_ffoot_stiffness", CHEETAH, hidden.joint_stiffness("ffoot", 30.0))
+_add("cheetah_fthigh_armature", CHEETAH, hidden.joint_armature("fthigh", 0.35))
+_add("cheetah_fthigh_saturation", CHEETAH, hidden.command_limit("fthigh", 0.45))
+_add("cheetah_bthigh_deadzone", CHEETAH, hidden.deadzone("bthigh", 0.2), numerics=SAME)
+_add("cheetah_lag", CHEETAH, hidden.command_lag("*", 0.03))
+_add("cheetah_towed", CHEETAH, hidden.external_force("torso", (-15.0, 0.0, 0.0)))
+_add("cheetah_bthigh_springref", CHEETAH, hidden.joint_springref("bthigh", 0.06), kind="confounded", also=BTHIGH_SPRING)
+_add("cheetah_bthigh_bias", CHEETAH, hidden.command_bias("bthigh", -0.1), kind="confounded", also=BTHIGH_SPRING)
+_add(
+    "cheetah_spring_and_gain",
+    CHEETAH,
+    hidden.joint_stiffness("bthigh", 160.0),
+    hidden.motor_gain("fthigh", 1.33),
+)
+_add(
+    "cheetah_delay_and_slippery",
+    CHEETAH,
+    hidden.command_delay(0.05),
+    hidden.contact_friction("*", 0.15),
+    also=tuple({e, ("contact_friction", "*")} for (e,) in ALL_DELAY),
+    numerics=SAME,
+)
+_add("cheetah_dead_motor", CHEETAH, hidden.dropout("bfoot", 2.5), kind="outside")
+
+# --- walker: hidden play, limbs that fall, 8 ms control --------------------------------------------------
+
+WALKER = "walker2d"
+
+_add("walker_leg_gain", WALKER, hidden.motor_gain("leg_joint", 0.75))
+_add("walker_left_armature", WALKER, hidden.joint_armature("thigh_left_joint", 0.1))
+_add("walker_thigh_left_damping", WALKER, hidden.joint_damping("thigh_left_joint", 1.0), numerics=SAME)
+_add("walker_leg_left_frictionloss", WALKER, hidden.joint_frictionloss("leg_left_joint", 5.0))
+_add("walker_leg_mass", WALKER, hidden.body_mass("leg", 4.2))
+_add("walker_slippery_feet", WALKER, hidden.contact_friction("*", 0.3))
+_add("walker_viscous_air", WALKER, hidden.fluid("viscosity", 1.5))
+_add("walker_lag", WALKER, hidden.command_lag("*", 0.03))
+_add("walker_foot_backlash", WALKER, hidden.backlash("foot_joint", 0.04))
+_add("walker_thigh_encoder", WALKER, hidden.sensor_bias("thigh_joint", 0.06))
+_add(
+    "walker_three",
+    WALKER,
+    hidden.command_delay(0.024),
+    hidden.motor_gain("thigh_left_joint", 0.75),
+    hidden.joint_damping("leg_joint", 3.0),
+    also=tuple({e, ("actuator_gain", "thigh_left_joint"), ("joint_damping", "leg_joint")} for (e,) in ALL_DELAY),
+)
+_add("walker_shaken", WALKER, hidden.periodic_push("torso", (60.0, 0.0, 0.0), 3.0), kind="outside")
+_add("walker_longer_foot", WALKER, hidden.foot_length("foot_geom", "foot", 1.25), kind="outside")
+
+# --- reacher: rotor inertia dominates, two coordinates that never move -----------------------------------
+
+REACHER = "reacher"
+
+_add("reacher_joint0_gain", REACHER, hidden.motor_gain("joint0", 0.85))
+_add("reacher_joint1_damping", REACHER, hidden.joint_damping("joint1", 2.0), numerics=SAME)
+_add("reacher_joint1_frictionloss", REACHER, hidden.joint_frictionloss("joint1", 2.0))
+_add("reacher_joint0_armature", REACHER, hidden.joint_armature("joint0", 1.3))
+_add("reacher_joint0_deadzone", REACHER, hidden.deadzone("joint0", 0.02))
+_add("reacher_joint1_cogging", REACHER, hidden.cogging("joint1", 4.0, 6))
+_add(
+    "reacher_damping_and_gain",
+    REACHER,
+    hidden.joint_damping("joint0", 1.6),
+    hidden.motor_gain("joint1", 0.85),
+)
+
+# --- servo arm: position servos, gravity, no contacts ----------------------------------------------------
+
+SERVO = "servo_arm"
+YAW_OFFSET = ({("sensor_bias", "yaw")}, {("actuator_bias", "yaw")})
+YAW_INERTIA = tuple(
+    {one} for one in (("joint_armature", "yaw"), *((e, "turret") for e in ("body_mass", "body_inertia", "payload")))
+)
+GRIPPED = tuple(
+    {(effect, body)}
+    for effect, body in (
+        ("body_mass", "gripper"),
+        ("payload", "gripper"),
+        ("payload", "forearm"),
+        ("body_inertia", "gripper"),
+        ("body_inertia", "forearm"),
+    )
+)
+SERVO_DELAY = ({("actuator_delay", "*")}, *ALL_DELAY)
+
+_add("servo_elbow_frictionloss", SERVO, hidden.joint_frictionloss("elbow", 0.3))
+_add("servo_shoulder_damping", SERVO, hidden.joint_damping("shoulder", 0.9), numerics=SAME)
+_add("servo_shoulder_cable", SERVO, hidden.joint_stiffness("shoulder", 2.0))
+_add(
+    "servo_forearm_com",
+    SERVO,
+    hidden.body_com("forearm", (0.03, 0.0, 0.03)),
+    also=({("body_inertia", "forearm")},),
+)
+_add("servo_base_tilt", SERVO, hidden.tilt(tilt_x=0.12), noise=MODELS[SERVO].noise.times(0.5))
+_add("servo_elbow_command_gain", SERVO, hidden.command_gain("elbow", 0.94), numerics=SAME)
+_add(
+    "servo_shoulder_stiffness",
+    SERVO,
+    hidden.servo_stiffness("shoulder", 0.75),
+    also=({("actuator_kp", "shoulder")}, {("actuator_stiffness", "shoulder")}),
+)
+_add("servo_shoulder_torque_limit", SERVO, hidden.force_limit("shoulder", 2.0))
+_add("servo_lag", SERVO, hidden.command_lag("*", 0.03))
+_add("servo_elbow_stribeck", SERVO, hidden.stribeck("elbow", 0.15, 0.6, 0.4))
+_add("servo_shoulder_cogging", SERVO, hidden.cogging("shoulder", 0.4, 12))
+_add("servo_elbow_backlash", SERVO, hidden.backlash("elbow", 0.025))
+_add("servo_elbow_encoder_gain", SERVO, hidden.sensor_gain("elbow", 1.04))
+_add("servo_yaw_encoder", SERVO, hidden.sensor_bias("yaw", 0.04), kind="confounded", also=YAW_OFFSET)
+_add("servo_yaw_bias", SERVO, hidden.command_bias("yaw", -0.05), kind="confounded", also=YAW_OFFSET, numerics=SAME)
+_add("servo_command_delay", SERVO, hidden.command_delay(0.02), kind="confounded", also=SERVO_DELAY)
+_add("servo_sensor_delay", SERVO, hidden.sensor_delay(0.012), kind="confounded", also=SERVO_DELAY)
+_add("servo_yaw_armature", SERVO, hidden.joint_armature("yaw", 0.04), kind="confounded", also=YAW_INERTIA)
+_add("servo_turret_mass", SERVO, hidden.body_mass("turret", 3.2), kind="confounded", also=YAW_INERTIA)
+_add(
+    "servo_gripper_payload",
+    SERVO,
+    hidden.payload("gripper", 0.2, (0.0, 0.0, 0.02), radius=0.02),
+    kind="confounded",
+    also=GRIPPED,
+)
+_add("servo_gripper_mass", SERVO, hidden.body_mass("gripper", 0.3), kind="confounded", also=GRIPPED, numerics=SAME)
+_add(
+    "servo_friction_and_tool",
+    SERVO,
+    hidden.joint_frictionloss("yaw", 0.35),
+    hidden.body_mass("gripper", 0.3),
+    also=tuple({("joint_frictionloss", "yaw"), *tool} for tool in GRIPPED),
+)
+_add(
+    "servo_lag_and_tilt",
+    SERVO,
+    hidden.command_lag("*", 0.025),
+    hidden.tilt(tilt_x=0.12),
+    noise=MODELS[SERVO].noise.times(0.5),
+)
+_add("servo_warm_motor", SERVO, hidden.servo_fade("shoulder", 0.5, 0.8), kind="outside")
+_add("servo_hysteresis", SERVO, hidden.hysteresis("*", 0.05), kind="outside")
+_add(
+    "servo_bench_shakes",
+    SERVO,
+    hidden.periodic_push("forearm", (1.2, 0.8, 0.0), 4.0),
+    kind="outside",
+    numerics=SAME,
+)
+
+# --- controls: nothing is hidden -------------------------------------------------------------------------
+
+_add("control_pendulum", PENDULUM, numerics=SAME)
+_add("control_cheetah", CHEETAH, numerics=SAME)
+_add("control_walker", WALKER, numerics=SAME)
+_add("control_reacher", REACHER, numerics=SAME)
+_add("control_servo", SERVO, numerics=SAME)
+_add("control_pendulum_fine", PENDULUM)
+_add("control_cheetah_fine", CHEETAH)
+_add("control_walker_fine", WALKER)
+_add("control_servo_fine", SERVO)
+_add("control_cheetah_rk4", CHEETAH, numerics=RK4)
+_add("control_reacher_implicit", REACHER, numerics=Numerics(1, "implicitfast"))
+_add("control_cheetah_noise_x3", CHEETAH, numerics=SAME, noise=MODELS[CHEETAH].noise.times(3))
+_add("control_walker_noise_x3", WALKER, noise=MODELS[WALKER].noise.times(3))
+_add("control_servo_coloured", SERVO, numerics=SAME, noise=Noise(1e-3, 1e-2, correlation=0.8))
+_add("control_cheetah_coloured", CHEETAH, noise=Noise(1e-3, 1e-2, correlation=0.6))
+_add("control_servo_quantised", SERVO, numerics=SAME, noise=Noise(3e-4, 1e-2, quantum=1.534e-3))
+_add("control_cheetah_quiet", CHEETAH, numerics=SAME, amplitude=0.01, still=True, may_abstain=True)
+_add("control_reacher_quiet", REACHER, numerics=SAME, amplitude=0.01, still=True, may_abstain=True)
+_add("control_servo_quiet", SERVO, amplitude=0.02, still=True, may_abstain=True)

@@ -1,0 +1,229 @@
+"""The nominal models: self-contained MJCF with every element named and every mass written out."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+
+ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+Start = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Additive Gaussian sensor noise.
+
+    Attributes:
+        qpos: standard deviation, rad or m.
+        qvel: standard deviation, rad/s or m/s.
+        correlation: of the noise from one control step to the next (AR(1)); 0 is white.
+        quantum: positions are rounded to multiples of this after the noise, rad or m; 0 is none.
+    """
+
+    qpos: float
+    qvel: float
+    correlation: float = 0.0
+    quantum: float = 0.0
+
+    def times(self, factor: float) -> Noise:
+        """The same law, louder."""
+        return replace(self, qpos=self.qpos * factor, qvel=self.qvel * factor)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A nominal model and how it is excited.
+
+    Attributes:
+        build: makes the MJCF text.
+        frame_skip: physics steps (of the nominal time step) per control step.
+        episodes: how many are recorded.
+        steps: control steps of an episode, (at least, at most).
+        amplitude: of the commands, (nu,), within ctrlrange.
+        start: lowest and highest initial position of each joint coordinate, (nq, 2).
+        start_speed: initial velocities are uniform within plus and minus this, rad/s or m/s.
+        noise: of its sensors, where a case does not say otherwise.
+        feedback: (nu, nq + nv), added to the excitation as feedback @ measured state; None for open loop.
+        fallen: coordinate and limit beyond which an episode ends.
+        fastest: frequency in the excitation, Hz.
+    """
+
+    build: Callable[[], str]
+    frame_skip: int
+    episodes: int
+    steps: tuple[int, int]
+    amplitude: tuple[float, ...]
+    start: Start
+    start_speed: float
+    noise: Noise
+    feedback: tuple[tuple[float, ...], ...] | None = None
+    fallen: tuple[int, float] | None = None
+    fastest: float = 6.0
+
+
+@cache
+def nominal_xml(name: str) -> str:
+    """MJCF text of a nominal model; loads standalone."""
+    return MODELS[name].build()
+
+
+def _text(root: ET.Element) -> str:
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _from_gymnasium(file: str) -> str:
+    """A Gymnasium asset with names for all elements, explicit geom masses, and no textures or settings in the way."""
+    root = ET.parse(ASSETS / file).getroot()
+    for tag in ("asset", "size"):
+        for child in root.findall(tag):
+            root.remove(child)
+    compiler = root.find("compiler")
+    total = compiler.get("settotalmass")
+    for attribute in ("coordinate", "settotalmass", "inertiafromgeom"):  # the last one would overrule <inertial>
+        compiler.attrib.pop(attribute, None)
+    for parent in root.iter():
+        for child in [c for c in parent if c.tag in ("light", "camera", "site")]:
+            parent.remove(child)
+        parent.attrib.pop("material", None)
+    _name(root)
+    compiled = mujoco.MjModel.from_xml_string(_text(root))
+    if total is not None:
+        mujoco.mj_setTotalmass(compiled, float(total))
+    _write_masses(root, compiled)
+    return _text(root)
+
+
+def _name(root: ET.Element) -> None:
+    for body in root.iter("body"):
+        for i, geom in enumerate(body.findall("geom")):
+            geom.attrib.setdefault("name", body.get("name") + (f"_{i}" if i else ""))
+    for actuator in root.find("actuator"):
+        actuator.attrib.setdefault("name", actuator.get("joint"))
+
+
+def _volume(kind: int, size: np.ndarray) -> float:
+    r, half = float(size[0]), float(size[1])
+    ball = 4 / 3 * np.pi * r**3
+    return {
+        mujoco.mjtGeom.mjGEOM_SPHERE: ball,
+        mujoco.mjtGeom.mjGEOM_CAPSULE: ball + 2 * np.pi * r**2 * half,
+        mujoco.mjtGeom.mjGEOM_CYLINDER: 2 * np.pi * r**2 * half,
+    }[mujoco.mjtGeom(int(kind))]
+
+
+def _write_masses(root: ET.Element, compiled: mujoco.MjModel) -> None:
+    """Write each geom's share of its body's compiled mass; geoms come in the order of the compiled model."""
+    for body in root.iter("body"):
+        index = compiled.body(body.get("name")).id
+        first, count = int(compiled.body_geomadr[index]), int(compiled.body_geomnum[index])
+        shares = [_volume(compiled.geom_type[i], compiled.geom_size[i]) for i in range(first, first + count)]
+        for geom, share in zip(body.findall("geom"), shares, strict=True):
+            geom.attrib.pop("density", None)
+            geom.set("mass", f"{compiled.body_mass[index] * share / sum(shares):.10g}")
+
+
+def _servo_arm() -> str:
+    """A small desk-top arm: yaw, shoulder and elbow under position servos, and a gripper welded to the forearm."""
+    return """<mujoco model="servo arm">
+  <compiler angle="radian"/>
+  <option timestep="0.002" integrator="Euler"/>
+  <default>
+    <geom contype="0" conaffinity="0" rgba="0.8 0.6 0.3 1"/>
+    <joint type="hinge"/>
+  </default>
+  <worldbody>
+    <geom name="table" type="plane" size="1 1 0.1"/>
+    <body name="turret" pos="0 0 0.05">
+      <inertial pos="0 0 0.03" mass="1.2" diaginertia="0.004 0.004 0.006"/>
+      <joint name="yaw" axis="0 0 1" range="-2.6 2.6" limited="true" damping="0.3" frictionloss="0.05" armature="0.02"/>
+      <geom name="turret" type="cylinder" size="0.06 0.04" pos="0 0 0.03"/>
+      <body name="upper_arm" pos="0 0 0.08">
+        <inertial pos="0 0 0.11" mass="0.45" diaginertia="0.0022 0.0022 0.0003"/>
+        <joint name="shoulder" axis="0 1 0" range="-1.9 1.9" limited="true" damping="0.4" frictionloss="0.08"
+               armature="0.025"/>
+        <geom name="upper_arm" type="capsule" size="0.022" fromto="0 0 0 0 0 0.24"/>
+        <body name="forearm" pos="0 0 0.24">
+          <inertial pos="0 0 0.09" mass="0.3" diaginertia="0.0011 0.0011 0.00015"/>
+          <joint name="elbow" axis="0 1 0" range="-2.4 2.4" limited="true" damping="0.2" frictionloss="0.04"
+                 armature="0.012"/>
+          <geom name="forearm" type="capsule" size="0.018" fromto="0 0 0 0 0 0.2"/>
+          <body name="gripper" pos="0 0 0.21">
+            <inertial pos="0 0 0.02" mass="0.12" diaginertia="0.00008 0.00008 0.00004"/>
+            <geom name="gripper" type="box" size="0.02 0.03 0.03" pos="0 0 0.02"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="yaw" joint="yaw" kp="4" kv="0.2" ctrllimited="true" ctrlrange="-2.2 2.2"/>
+    <position name="shoulder" joint="shoulder" kp="7" kv="0.35" ctrllimited="true" ctrlrange="-1.6 1.6"/>
+    <position name="elbow" joint="elbow" kp="3.5" kv="0.15" ctrllimited="true" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
+MODELS: dict[str, Model] = {
+    "inverted_pendulum": Model(
+        build=lambda: _from_gymnasium("inverted_pendulum.xml"),
+        frame_skip=2,
+        episodes=16,
+        steps=(50, 70),
+        amplitude=(0.8,),
+        start=((-0.2, 0.2), (-0.08, 0.08)),
+        start_speed=0.1,
+        noise=Noise(5e-4, 5e-3),
+        feedback=((1.2, 7.5, 1.3, 1.2),),
+        fallen=(1, 1.0),
+    ),
+    "half_cheetah": Model(
+        build=lambda: _from_gymnasium("half_cheetah.xml"),
+        frame_skip=5,
+        episodes=12,
+        steps=(80, 110),
+        amplitude=(0.9,) * 6,
+        start=((-0.1, 0.1), (0.0, 0.15), (-0.1, 0.1), *((-0.2, 0.2),) * 6),
+        start_speed=0.2,
+        noise=Noise(1e-3, 1e-2),
+    ),
+    "walker2d": Model(
+        build=lambda: _from_gymnasium("walker2d_v5.xml"),
+        frame_skip=4,
+        episodes=14,
+        steps=(90, 130),
+        amplitude=(0.3, 0.25, 0.08) * 2,
+        start=((-0.1, 0.1), (1.22, 1.3), (-0.1, 0.1), *((-0.7, -0.15), (-0.9, -0.2), (-0.3, 0.3)) * 2),
+        start_speed=0.3,
+        noise=Noise(5e-4, 1e-2),
+    ),
+    "reacher": Model(
+        build=lambda: _from_gymnasium("reacher.xml"),
+        frame_skip=2,
+        episodes=10,
+        steps=(100, 140),
+        amplitude=(0.2, 0.2),
+        start=((-0.5, 0.5), (-0.8, 0.8), (-0.1, 0.1), (-0.1, 0.1)),
+        start_speed=0.0,
+        noise=Noise(1e-3, 1e-2),
+    ),
+    "servo_arm": Model(
+        build=_servo_arm,
+        frame_skip=10,
+        episodes=10,
+        steps=(110, 150),
+        amplitude=(1.0, 0.8, 1.0),
+        fastest=3.0,
+        start=((-0.5, 0.5),) * 3,
+        start_speed=0.0,
+        noise=Noise(1e-3, 1e-2),
+    ),
+}

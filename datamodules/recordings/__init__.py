@@ -1,0 +1,25 @@
+"""Recordings of a robot in the formats that labs keep them in, turned into trajectory files (docs/import.md)."""
+
+from datamodules.recordings.check import ActuatorLayout, JointLayout, ModelLayout, fit_to_model
+from datamodules.recordings.convert import Imported, convert
+from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.formats import FORMATS, read_recording
+from datamodules.recordings.mapping import Mapping, parse_mapping, read_mapping
+from datamodules.recordings.preview import Row, summary
+
+__all__ = [
+    "FORMATS",
+    "ActuatorLayout",
+    "Imported",
+    "JointLayout",
+    "Mapping",
+    "ModelLayout",
+    "RecordingError",
+    "Row",
+    "convert",
+    "fit_to_model",
+    "parse_mapping",
+    "read_mapping",
+    "read_recording",
+    "summary",
+]

@@ -1,0 +1,163 @@
+"""Recorded columns and a map make trajectories in the model's units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.mapping import Channel, Mapping
+from datamodules.recordings.recorded import Recorded
+from datamodules.trajectories import Episode, Trajectories
+
+IRREGULAR = 0.01
+"""Periods that differ by more than this share of the median make sampling irregular: times are kept."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When rows were taken.
+
+    Attributes:
+        dt: median period over all episodes, s.
+        jitter: largest deviation of a period from ``dt``, as a share of it.
+        regular: whether t_k = k ``dt`` says it all.
+        duration: of all episodes together, s.
+        longest: the longest period, s, and where it is.
+    """
+
+    dt: float
+    jitter: float
+    regular: bool
+    duration: float
+    longest: tuple[float, str]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Trajectories, with what the preview tells beside them."""
+
+    trajectories: Trajectories
+    timing: Timing
+    notes: tuple[str, ...] = ()
+
+
+def convert(recordings: list[Recorded], mapping: Mapping, source: str = "") -> Imported:
+    """Turn recorded episodes into trajectories, joints and actuators in the map's order.
+
+    Raises:
+        RecordingError: naming the file, column and row, what was expected and what came.
+    """
+    episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
+    times = [_times(episode, mapping) for episode in episodes]
+    timing = _timing(times, episodes)
+    velocities = all(joint.velocity is not None for joint in mapping.joints.values())
+    made = tuple(_episode(e, mapping, t, timing, velocities) for e, t in zip(episodes, times, strict=True))
+    return Imported(Trajectories(made, timing.dt, source), timing, _notes(mapping, timing))
+
+
+def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing, velocities: bool) -> Episode:
+    """One episode of T+1 = len(times) rows."""
+    rows = len(times)
+    observations = {"qpos": _rows([j.position for j in mapping.joints.values()], recorded, rows)}
+    if velocities:
+        observations["qvel"] = _rows([j.velocity for j in mapping.joints.values()], recorded, rows)
+    commands = [_command(channel, recorded, rows, mapping.actions_at) for channel in mapping.actuators.values()]
+    return Episode(
+        actions=np.column_stack([np.empty((rows - 1, 0)), *commands]).astype(np.float32),
+        observations=observations,
+        timestamps=None if timing.regular else times,
+        infos={name: _info(recorded, name, column) for name, column in mapping.infos.items()},
+    )
+
+
+def _rows(channels: list[Channel], recorded: Recorded, rows: int) -> np.ndarray:
+    """Channels side by side, (T+1, sum of their columns), in the model's units."""
+    blocks = []
+    for channel in channels:
+        for column in channel.columns:
+            values = recorded.numbers(column, channel.key)
+            _check_length(recorded, column, len(values), rows)
+            blocks.append(channel.value(values))
+        if channel.constant:
+            blocks.append(np.full(rows, channel.offset))
+    return np.column_stack(blocks)
+
+
+def _command(channel: Channel, recorded: Recorded, rows: int, at: str) -> np.ndarray:
+    """Commands (T,), row k held from t_k to t_{k+1}; the row too many is dropped, and may be empty."""
+    if channel.constant:
+        return np.full(rows - 1, channel.offset)
+    (column,) = channel.columns
+    length = len(recorded.column(column, channel.key))
+    _check_length(recorded, column, length, rows, rows - 1)
+    keep = slice(None) if length == rows - 1 else slice(None, -1) if at == "start" else slice(1, None)
+    return channel.value(recorded.numbers(column, channel.key, keep))
+
+
+def _info(recorded: Recorded, name: str, column: str) -> np.ndarray:
+    values = recorded.column(column, f"infos.{name}")
+    return values if values.dtype.kind in "fiub" else np.array([str(v).encode() for v in values])
+
+
+def _check_length(recorded: Recorded, column: str, length: int, *expected: int) -> None:
+    if length not in expected:
+        raise RecordingError(
+            f"{recorded.source}: column {column!r} has {length} rows, expected {' or '.join(map(str, expected))} "
+            "as the first joint's position has"
+        )
+
+
+# --- time -----------------------------------------------------------------------------------------------
+
+
+def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
+    """Seconds since the episode's first row, (T+1,), increasing."""
+    position = next(joint.position for joint in mapping.joints.values() if not joint.position.constant)
+    rows = len(recorded.column(position.columns[0], position.key))
+    if rows < 2:
+        raise RecordingError(f"{recorded.source}: has {rows} rows, expected at least 2 to make one step")
+    if mapping.time is None:
+        return mapping.dt * np.arange(rows)
+    column, unit = mapping.time
+    raw = recorded.numbers(column, "time.column")
+    _check_length(recorded, column, len(raw), rows)
+    times = (raw - raw[0]) * unit
+    if len(back := np.flatnonzero(np.diff(times) <= 0)):
+        k = back[0] + 1
+        how = "stands still at" if raw[k] == raw[k - 1] else f"goes back from {raw[k - 1]:.12g} to"
+        raise RecordingError(
+            f"{recorded.source}: time column {column!r}, {recorded.row(k)}: time {how} {raw[k]:.12g}, expected it to "
+            f"increase ({len(back)} such rows); where episodes follow one another, name their column "
+            "(episodes: {column: ...}) or cut the file, else drop the repeated rows"
+        )
+    return times
+
+
+def _timing(times: list[np.ndarray], episodes: list[Recorded]) -> Timing:
+    periods = np.concatenate([np.diff(t) for t in times])
+    dt = float(f"{np.median(periods):.12g}")  # without the last digits' rounding
+    jitter = float(np.abs(periods - dt).max() / dt)
+    drift = max(abs(t[-1] - dt * (len(t) - 1)) for t in times) / dt
+    longest = max(range(len(times)), key=lambda i: np.diff(times[i]).max())
+    gaps = np.diff(times[longest])
+    where = f"{episodes[longest].source}, {episodes[longest].row(int(gaps.argmax()))}"
+    return Timing(
+        dt,
+        jitter,
+        bool(jitter <= IRREGULAR and drift <= 0.5),
+        float(sum(t[-1] for t in times)),
+        (float(gaps.max()), where),
+    )
+
+
+def _notes(mapping: Mapping, timing: Timing) -> tuple[str, ...]:
+    notes = []
+    measured = [name for name, joint in mapping.joints.items() if joint.velocity]
+    if measured and len(measured) < len(mapping.joints):
+        without = [name for name in mapping.joints if name not in measured]
+        notes.append(f"qvel is left out: joint {without[0]} has no velocity in the map")
+    if timing.longest[0] > 10 * timing.dt:
+        notes.append(f"a pause of {timing.longest[0]:.3g} s after {timing.longest[1]}: one command is held across it")
+    return tuple(notes)

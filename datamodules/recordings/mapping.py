@@ -1,0 +1,281 @@
+"""The map: a small YAML file that says which column is which joint, actuator and time (docs/import.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from datamodules.recordings.errors import RecordingError, choices
+from datamodules.recordings.units import TIME, Unit, actuator_unit, position_unit, velocity_unit
+
+KEYS = (
+    *("time", "dt", "joints", "actuators", "infos", "episodes", "actions_at"),
+    *("skip_rows", "header", "delimiter", "clock"),
+)
+CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where one quantity comes from: value = sign * scale * unit * column + offset.
+
+    Attributes:
+        key: its place in the map, such as ``joints.hip.position``, for messages.
+        columns: one column; several for a ball or free joint, in the model's order; none for a constant.
+        unit: of the column.
+        sign: 1 or -1.
+        scale: further factor, for units that have no name here.
+        offset: added last, in the unit of the model (rad, m, N m, ...); the value itself where it is constant.
+    """
+
+    key: str
+    columns: tuple[str, ...]
+    unit: Unit = field(default_factory=Unit)
+    sign: int = 1
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def constant(self) -> bool:
+        """Whether no column is behind it."""
+        return not self.columns
+
+    def value(self, recorded: np.ndarray) -> np.ndarray:
+        """Numbers of a column, in the model's unit."""
+        return self.sign * self.scale * self.unit.factor * recorded + self.offset
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint's position [rad or m] and, where it was measured, velocity [rad/s or m/s]."""
+
+    position: Channel
+    velocity: Channel | None = None
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """What a map says.
+
+    Attributes:
+        joints, actuators: by name, in the order of the map.
+        time: column with the time of each row and its unit in s; None where ``dt`` is given.
+        dt: period, s, of recordings without times.
+        infos: name to column, kept as it is.
+        episodes: column that tells episodes apart; None: one recording is one episode.
+        actions_at: ``start``: a row's command is held from that row to the next; ``end``: until that row.
+        skip_rows, header, delimiter: how to read CSV.
+        clock: MCAP topic whose messages are the rows; None: that of the first mapped position.
+        source: the map's file, for messages.
+    """
+
+    joints: dict[str, Joint]
+    actuators: dict[str, Channel]
+    time: tuple[str, float] | None = None
+    dt: float | None = None
+    infos: dict[str, str] = field(default_factory=dict)
+    episodes: str | None = None
+    actions_at: str = "start"
+    skip_rows: int = 0
+    header: bool = True
+    delimiter: str | None = None
+    clock: str | None = None
+    source: str = "map"
+
+    def columns(self) -> Iterator[str]:
+        """Every column that the map names; the first is the first joint's position."""
+        for joint in self.joints.values():
+            yield from joint.position.columns
+        for joint in self.joints.values():
+            yield from joint.velocity.columns if joint.velocity else ()
+        for channel in self.actuators.values():
+            yield from channel.columns
+        yield from self.infos.values()
+        yield from (c for c in (self.time and self.time[0], self.episodes) if c)
+
+
+def read_mapping(path: Path | str) -> Mapping:
+    """Read and check a map.
+
+    Raises:
+        RecordingError: naming the file, the key, what was expected and what came.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; expected the map, see docs/import.md")
+    try:
+        return parse_mapping(yaml.load(path.read_text(), UniqueKeys), str(path))  # a SafeLoader
+    except UnicodeDecodeError:
+        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/import.md") from None
+    except yaml.YAMLError as error:
+        raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+class UniqueKeys(yaml.SafeLoader):
+    """Safe YAML in which a key may stand only once, as a joint that is given twice is a slip."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} stands twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def parse_mapping(content: Any, source: str = "map") -> Mapping:
+    """Check a map that was read from YAML."""
+    try:
+        return _mapping(content, source)
+    except RecordingError as error:
+        raise RecordingError(f"{source}: {error}") from None
+
+
+def _mapping(content: Any, source: str) -> Mapping:
+    top = _section("the map", content, KEYS)
+    time, dt = _clock(top)
+    joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
+    if not any(not joint.position.constant for joint in joints.values()):
+        raise RecordingError("joints: expected at least one joint with a position column; see docs/import.md")
+    actuators = {
+        name: _channel(f"actuators.{name}", value, actuator_unit)
+        for name, value in _names("actuators", top.get("actuators"))
+    }
+    infos = {name: _column(f"infos.{name}", value) for name, value in _names("infos", top.get("infos"))}
+    episodes = _section("episodes", top["episodes"], ("column",)) if "episodes" in top else {}
+    delimiter, clock = (None if top.get(k) is None else _text(k, top[k]) for k in ("delimiter", "clock"))
+    if delimiter is not None and len(delimiter) != 1:
+        raise RecordingError(f"delimiter: expected one character, got {delimiter!r}")
+    return Mapping(
+        joints=joints,
+        actuators=actuators,
+        time=time,
+        dt=dt,
+        infos=infos,
+        episodes=_column("episodes.column", episodes.get("column")) if "episodes" in top else None,
+        actions_at=_one_of("actions_at", top.get("actions_at", "start"), ("start", "end")),
+        skip_rows=_count("skip_rows", top.get("skip_rows", 0)),
+        header=_one_of("header", top.get("header", True), (True, False)),
+        delimiter=delimiter,
+        clock=clock,
+        source=source,
+    )
+
+
+def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
+    """The time column with its unit [s], or the period [s]."""
+    if ("time" in top) == ("dt" in top):
+        came = "both" if "time" in top else "neither"
+        raise RecordingError(
+            f"expected either time, such as time: {{column: t, unit: s}}, or dt: <seconds>; it has {came}"
+        )
+    if "dt" in top:
+        dt = _number("dt", top["dt"])
+        if dt <= 0:
+            raise RecordingError(f"dt: expected a period in seconds above 0, got {dt:g}")
+        return None, dt
+    value = top["time"] if isinstance(top["time"], dict) else {"column": top["time"]}
+    entry = _section("time", value, ("column", "unit"))
+    unit = _text("time.unit", entry.get("unit", "s"))
+    return (_column("time.column", entry.get("column")), TIME[_one_of("time.unit", unit, tuple(TIME))]), None
+
+
+def _joint(key: str, value: Any) -> Joint:
+    entry = _section(key, value, ("position", "velocity"))
+    if "position" not in entry:
+        raise RecordingError(f"{key}: position is missing; expected position: {{column: ..., unit: rad}}")
+    position = _channel(f"{key}.position", entry["position"], position_unit)
+    velocity = _channel(f"{key}.velocity", entry["velocity"], velocity_unit) if "velocity" in entry else None
+    if velocity and velocity.unit.si and position.unit.si and velocity.unit.si != f"{position.unit.si}/s":
+        raise RecordingError(
+            f"{key}: the position is in {position.unit.name} and the velocity in {velocity.unit.name}; "
+            "expected both to be of a hinge (angles) or of a slide (lengths)"
+        )
+    return Joint(position, velocity)
+
+
+def _channel(key: str, value: Any, unit_of: Callable[[str, str], Unit]) -> Channel:
+    entry = _section(key, value if isinstance(value, dict) else {"column": value}, CHANNEL_KEYS)
+    if "constant" in entry:
+        if len(entry) > 1:
+            raise RecordingError(f"{key}: constant stands alone, in the model's unit; drop the other keys")
+        return Channel(key, (), offset=_number(f"{key}.constant", entry["constant"]))
+    column = entry.get("column")
+    if isinstance(column, list):
+        if not column or len(entry) > 1:
+            raise RecordingError(f"{key}: a list of columns (ball or free joint) is in the model's units, column alone")
+        return Channel(key, tuple(_column(f"{key}.column", c) for c in column))
+    unit = Unit() if entry.get("unit") is None else unit_of(_text(f"{key}.unit", entry["unit"]), f"{key}.unit")
+    return Channel(
+        key,
+        (_column(f"{key}.column", column),),
+        unit,
+        _one_of(f"{key}.sign", entry.get("sign", 1), (1, -1)),
+        _number(f"{key}.scale", entry.get("scale", 1.0)),
+        _number(f"{key}.offset", entry.get("offset", 0.0)),
+    )
+
+
+# --- values of a YAML file, checked ---------------------------------------------------------------------
+
+
+def _section(key: str, value: Any, known: tuple[str, ...]) -> dict:
+    if not isinstance(value, dict):
+        raise RecordingError(f"{key}: expected keys among {', '.join(known)}; got {_shown(value)}")
+    for name in value:
+        if name not in known:
+            raise RecordingError(f"{key}: unknown key {name!r}; " + choices(str(name), known, "keys are"))
+    return value
+
+
+def _names(key: str, value: Any) -> list[tuple[str, Any]]:
+    if value is None:
+        return []
+    if not isinstance(value, dict):
+        raise RecordingError(f"{key}: expected one entry a name, got {_shown(value)}")
+    return [(_text(key, name), entry) for name, entry in value.items()]
+
+
+def _column(key: str, value: Any) -> str:
+    if value is None:
+        raise RecordingError(f"{key}: expected the name of a column, got nothing")
+    return _text(key, value)
+
+
+def _text(key: str, value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        hint = "; YAML reads yes, no, on and off as truth values, put the name in quotes" * isinstance(value, bool)
+        raise RecordingError(f"{key}: expected a name, got {_shown(value)}{hint}")
+    return str(value)
+
+
+def _number(key: str, value: Any) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)  # YAML reads 1e-3 as text
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise RecordingError(f"{key}: expected a number, got {_shown(value)}")
+    return number
+
+
+def _count(key: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise RecordingError(f"{key}: expected a whole number, 0 or more, got {_shown(value)}")
+    return value
+
+
+def _one_of(key: str, value: Any, known: tuple) -> Any:
+    if not any(value == k and isinstance(value, bool) == isinstance(k, bool) for k in known):
+        raise RecordingError(f"{key}: expected {' or '.join(map(str, known))}, got {_shown(value)}")
+    return value
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else repr(value)[:80]

@@ -1,0 +1,78 @@
+"""What was understood of a recording, as rows of a table and a few lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from datamodules.recordings.convert import Imported
+from datamodules.recordings.mapping import Channel, Mapping
+
+
+@dataclass(frozen=True)
+class Row:
+    """One channel: what it is, where it comes from, and its numbers in ``unit``, over all episodes."""
+
+    name: str
+    column: str
+    recorded_in: str
+    unit: str
+    minimum: float
+    maximum: float
+    rms: float
+
+
+def summary(imported: Imported, mapping: Mapping) -> tuple[list[Row], list[str]]:
+    """The preview: a row a channel, and lines about episodes and time."""
+    return _rows(imported, mapping), _lines(imported)
+
+
+def _rows(imported: Imported, mapping: Mapping) -> list[Row]:
+    joints = mapping.joints.items()
+    groups = [("observations", "qpos", [(f"{name} position", joint.position) for name, joint in joints])]
+    if "qvel" in imported.trajectories.episodes[0].observations:
+        groups.append(("observations", "qvel", [(f"{name} velocity", joint.velocity) for name, joint in joints]))
+    groups.append(("actions", "", [(f"{name} command", channel) for name, channel in mapping.actuators.items()]))
+    rows = []
+    for group, array, channels in groups:
+        parts = [getattr(e, group)[array] if array else getattr(e, group) for e in imported.trajectories]
+        columns = [(name, channel, c) for name, channel in channels for c in channel.columns or ("constant",)]
+        for (name, channel, column), values in zip(columns, np.concatenate(parts).T, strict=True):
+            rows.append(_row(name, channel, column, values))
+    return rows
+
+
+def _row(name: str, channel: Channel, column: str, values: np.ndarray) -> Row:
+    unit = channel.unit
+    change = "".join(
+        (
+            f" x {channel.scale:g}" if channel.scale != 1 else "",
+            " x -1" if channel.sign == -1 else "",
+            f" {channel.offset:+g} {unit.si}".rstrip() if channel.offset and not channel.constant else "",
+        )
+    )
+    values = values.astype(np.float64)
+    rms = float(np.sqrt(np.mean(values**2)))
+    recorded_in = ((unit.name or unit.si) + change).strip()
+    return Row(name, column, recorded_in, unit.si, float(values.min()), float(values.max()), rms)
+
+
+def _lines(imported: Imported) -> list[str]:
+    trajectories, timing = imported.trajectories, imported.timing
+    first = trajectories.episodes[0]
+    lengths = [len(e) for e in trajectories]
+    spread = f"{lengths[0]}" if min(lengths) == max(lengths) else f"{min(lengths)} to {max(lengths)}"
+    sampling = "regular" if timing.regular else "irregular, timestamps are kept"
+    lines = [
+        f"episodes {len(trajectories)}, steps {trajectories.total_steps} ({spread} an episode), "
+        f"duration {timing.duration:.4g} s",
+        f"dt {timing.dt:.6g} s, jitter {timing.jitter:.2%}: {sampling}",
+        f"qpos {first.observations['qpos'].shape[1]}, "
+        + (f"qvel {first.observations['qvel'].shape[1]}" if "qvel" in first.observations else "no qvel")
+        + f", actions {first.actions.shape[1]}"
+        + (" (passive: nothing is driven)" if not first.actions.shape[1] else ""),
+    ]
+    if first.infos:
+        lines.append(f"infos kept: {', '.join(first.infos)}")
+    return lines

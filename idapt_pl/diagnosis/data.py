@@ -1,0 +1,158 @@
+"""Measured episodes, checked against the model, and the short windows they are compared in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from datamodules import Trajectories
+
+
+class UnusableData(ValueError):
+    """A recording does not fit the model, or cannot be used; the message says where and why."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One episode as the diagnosis sees it.
+
+    Attributes:
+        name: for messages, for example ``episode_3``.
+        time: s, (T+1,).
+        qpos: measured positions, (T+1, nq).
+        qvel: measured or estimated velocities, (T+1, nv).
+        actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
+    """
+
+    name: str
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    actions: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Short stretches of recordings, all with the same number of samples.
+
+    Attributes:
+        episode: which recording each window lies in, (n,).
+        start: its first sample, (n,).
+        offsets: samples compared with the prediction, counted from the first one, (j,).
+    """
+
+    episode: np.ndarray
+    start: np.ndarray
+    offsets: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def __getitem__(self, rows: np.ndarray) -> Windows:
+        return Windows(self.episode[rows], self.start[rows], self.offsets)
+
+
+def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recording], bool]:
+    """Episodes as recordings, and whether velocities were measured (else they are slopes of the positions).
+
+    Takes ``qpos`` and ``qvel``, or a ``state`` that is the two of them one after the other.
+
+    Raises:
+        UnusableData: naming the episode, what was expected and what came.
+    """
+    made, measured = [], True
+    for i, episode in enumerate(data):
+        where, seen = f"episode_{i}", episode.observations
+        qpos, qvel = seen.get("qpos"), seen.get("qvel")
+        if qpos is None and "state" in seen and seen["state"].shape[-1] == model.nq + model.nv:
+            qpos, qvel = np.split(seen["state"], [model.nq], axis=-1)
+        if qpos is None:
+            raise UnusableData(
+                f"{where}: no observations/qpos (nor a state of qpos and qvel together); it has: "
+                f"{', '.join(sorted(seen)) or 'nothing'}"
+            )
+        time = episode.timestamps if episode.timestamps is not None else data.dt * np.arange(len(episode) + 1)
+        for name, array, width in (
+            ("qpos", qpos, model.nq),
+            ("qvel", qvel, model.nv),
+            ("actions", episode.actions, model.nu),
+        ):
+            if array is None:
+                continue
+            if array.ndim != 2 or array.shape[1] != width:
+                raise UnusableData(
+                    f"{where}: {name} has shape {array.shape}, but the model has {width} "
+                    f"{'actuators' if name == 'actions' else name + ' entries'}"
+                )
+            if not np.isfinite(array).all():
+                row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
+                raise UnusableData(f"{where}: {name} holds NaN or infinite values, first in row {row}")
+        measured &= qvel is not None
+        made.append((where, np.asarray(time, float), np.asarray(qpos, float), qvel, np.asarray(episode.actions, float)))
+    if sum(len(a) for *_, a in made) < 20 or not made:
+        raise UnusableData(
+            f"{len(made)} episodes with {sum(len(a) for *_, a in made)} steps are too few to diagnose from"
+        )
+    return [
+        Recording(name, t, q, np.asarray(v, float) if measured else slopes(model, t, q), a) for name, t, q, v, a in made
+    ], measured
+
+
+def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = 0.01) -> np.ndarray:
+    """Velocities as central slopes of the positions over about ``half_width`` seconds to either side, (T+1, nv)."""
+    reach = max(1, round(half_width / float(np.median(np.diff(time)))))
+    index = np.arange(len(time))
+    before, after = np.maximum(index - reach, 0), np.minimum(index + reach, len(time) - 1)
+    step = (time[after] - time[before])[:, None]
+    if model.nq == model.nv:
+        return (qpos[after] - qpos[before]) / step
+    out = np.empty((len(time), model.nv))
+    for k, (b, a) in enumerate(zip(before, after, strict=True)):
+        mujoco.mj_differentiatePos(model, out[k], step[k, 0], qpos[b], qpos[a])
+    return out
+
+
+def difference(model: mujoco.MjModel, qpos: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Other - qpos in the tangent space, (..., nq) to (..., nv)."""
+    if model.nq == model.nv:
+        return other - qpos
+    flat = [a.reshape(-1, model.nq) for a in np.broadcast_arrays(qpos, other)]
+    out = np.empty((len(flat[0]), model.nv))
+    for row, a, b in zip(out, *flat, strict=True):
+        mujoco.mj_differentiatePos(model, row, 1.0, a, b)
+    return out.reshape(*np.broadcast_shapes(qpos.shape[:-1], other.shape[:-1]), model.nv)
+
+
+def shift(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Qpos moved by ``by`` (n, nv) in the tangent space."""
+    if model.nq == model.nv:
+        return qpos + by
+    moved = np.ascontiguousarray(qpos.copy())
+    for row, d in zip(moved, np.broadcast_to(by, (len(qpos), model.nv)), strict=True):
+        mujoco.mj_integratePos(model, row, np.ascontiguousarray(d), 1.0)
+    return moved
+
+
+def cut(data: list[Recording], episodes: np.ndarray, steps: int, samples: int, limit: int, seed: int) -> Windows:
+    """At most ``limit`` windows of ``steps`` control steps out of some episodes, not overlapping.
+
+    The first steps of an episode are left out where it is long enough: commands from before the
+    recording may still act there.
+    """
+    rng = np.random.default_rng(seed)
+    found = []
+    for e in episodes:
+        T = len(data[e])
+        skip = min(3, max(0, T - steps))
+        starts = np.arange(skip, T - steps + 1, steps)
+        found.append(np.stack([np.full(len(starts), e), starts], 1))
+    every = np.concatenate(found) if found else np.zeros((0, 2), int)
+    if len(every) > limit:
+        every = every[np.sort(rng.choice(len(every), limit, replace=False))]
+    offsets = np.unique(np.round(np.linspace(0, steps, samples + 1)[1:]).astype(int))
+    return Windows(every[:, 0], every[:, 1], offsets)

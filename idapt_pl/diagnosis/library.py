@@ -1,0 +1,314 @@
+"""The effects a diagnosis considers: what, where, from which nominal value, in which steps."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from idapt_pl.diagnosis.data import Recording
+from idapt_pl.domains import effects as physics
+from idapt_pl.domains import paths
+from idapt_pl.domains.effects import Effect
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect with its free parameters; a vector x of them makes an :class:`Effect`.
+
+    Attributes:
+        kind: the effect's class.
+        target: MJCF name.
+        names: free parameters.
+        nominal: their values in the nominal model, where the effect changes nothing.
+        scale: what a noticeable change of each is about; fits work in units of it.
+        starts: further places to start a fit from, each (parameters,).
+        fixed: parameters that are not free.
+    """
+
+    kind: type[Effect]
+    target: str
+    names: tuple[str, ...]
+    nominal: tuple[float, ...]
+    scale: tuple[float, ...]
+    starts: tuple[tuple[float, ...], ...] = ()
+    fixed: tuple[tuple[str, object], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """``effect(target)``."""
+        return f"{self.kind.name}({self.target})"
+
+    @property
+    def size(self) -> int:
+        """Number of free parameters."""
+        return len(self.names)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Physical bounds of the parameters."""
+        meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
+        low, high = (np.array([meta[n][side] for n in self.names], float) for side in ("low", "high"))
+        return low, high
+
+    def units(self) -> list[str]:
+        """Units of the parameters."""
+        meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
+        return [meta[n]["unit"] for n in self.names]
+
+    def effect(self, x: Iterable[float]) -> Effect:
+        """The effect with these values, moved inside the bounds."""
+        low, high = self.bounds()
+        values = np.clip(np.asarray(list(x), float), low, high)
+        return self.kind(self.target, **dict(zip(self.names, map(float, values), strict=True)), **dict(self.fixed))
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Typical sizes in the data, which set the scales of the candidates.
+
+    Attributes:
+        dt: control period, s.
+        inertia: diagonal of the mass matrix, typical, (nv,).
+        speed: rms of the velocities, (nv,).
+        motion: spread of the positions of each scalar joint, (nv,).
+        command: rms of the commands, (nu,).
+        horizon: how long predictions run, s.
+    """
+
+    dt: float
+    inertia: np.ndarray
+    speed: np.ndarray
+    motion: np.ndarray
+    command: np.ndarray
+    horizon: float
+
+
+def surroundings(model: mujoco.MjModel, data: list[Recording], horizon: float) -> Surroundings:
+    """Measure them."""
+    d, inertia = mujoco.MjData(model), []
+    for r in data[:8]:
+        d.qpos[:], d.qvel[:] = r.qpos[len(r) // 2], r.qvel[len(r) // 2]
+        mujoco.mj_forward(model, d)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, full, d.qM)
+        inertia.append(np.diag(full))
+    speed = np.sqrt(np.mean(np.concatenate([np.square(r.qvel) for r in data]), 0))
+    positions = np.concatenate([r.qpos for r in data])
+    motion = np.ones(model.nv)
+    for j in range(model.njnt):
+        if model.jnt_type[j] >= 2:
+            motion[model.jnt_dofadr[j]] = positions[:, model.jnt_qposadr[j]].std()
+    actions = np.concatenate([r.actions for r in data])
+    command = np.sqrt(np.mean(np.square(actions), 0)) if model.nu else np.zeros(0)
+    dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
+    tiny = 1e-9
+    return Surroundings(dt, np.median(inertia, 0) + tiny, speed + tiny, motion + tiny, command + tiny, horizon)
+
+
+def library(spec: mujoco.MjSpec, around: Surroundings) -> list[Candidate]:
+    """Every candidate for a model, single ones and those of all elements of a kind."""
+    model = spec.copy().compile()
+    found: list[Candidate] = []
+    for make in (_joints, _bodies, _actuators, _contacts, _world):
+        found += make(model, around)
+    return found
+
+
+def _shared(singles: list[Candidate]) -> list[Candidate]:
+    """One value for all of a kind, where their nominal values agree."""
+    if len(singles) < 2 or len({c.nominal for c in singles}) > 1:
+        return []
+    scale = tuple(np.median([c.scale for c in singles], 0))
+    return [dataclasses.replace(singles[0], target="*", scale=scale)]
+
+
+def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
+    hinges = [j for j in range(model.njnt) if model.jnt_type[j] >= 2]
+    rows: list[tuple[type[Effect], str, Callable[[int], float], Callable[[int], float]]] = [
+        (physics.JointDamping, "damping", lambda v: model.dof_damping[v], lambda v: a.inertia[v] / a.horizon),
+        (physics.JointFrictionloss, "frictionloss", lambda v: model.dof_frictionloss[v],
+         lambda v: a.inertia[v] * a.speed[v] / a.horizon),
+        (physics.JointArmature, "armature", lambda v: model.dof_armature[v], lambda v: a.inertia[v]),
+        (physics.JointDrag, "drag", lambda v: 0.0, lambda v: a.inertia[v] / a.horizon / a.speed[v]),
+    ]  # fmt: skip
+    found = []
+    for kind, parameter, nominal, scale in rows:
+        singles = []
+        for j in hinges:
+            v = model.jnt_dofadr[j]
+            singles.append(Candidate(kind, model.joint(j).name, (parameter,), (float(nominal(v)),), (scale(v),)))
+        found += singles + _shared(singles)
+    springs, rests = [], []
+    for j in hinges:
+        v, q, name = model.jnt_dofadr[j], model.jnt_qposadr[j], model.joint(j).name
+        stiffness = float(model.jnt_stiffness[j])
+        springs.append(
+            Candidate(physics.JointStiffness, name, ("stiffness",), (stiffness,), (a.inertia[v] / a.horizon**2,))
+        )
+        if stiffness:
+            rests.append(
+                Candidate(physics.JointSpringref, name, ("springref",), (float(model.qpos_spring[q]),), (a.motion[v],))
+            )
+        found.append(Candidate(paths.SensorBias, name, ("bias",), (0.0,), (a.motion[v],)))
+        found.append(Candidate(paths.SensorGain, name, ("gain",), (1.0,), (0.2,)))
+        torque = a.inertia[v] * a.speed[v] / a.horizon
+        found.append(
+            Candidate(
+                paths.JointStribeck,
+                name,
+                ("coulomb", "static", "speed"),
+                (0.0, 0.0, a.speed[v] / 4),
+                (torque, torque, a.speed[v] / 4),
+                starts=tuple(
+                    (c * torque, s * torque, f * a.speed[v]) for c, s in ((0.1, 0.2), (0.3, 1.0)) for f in (0.05, 0.3)
+                ),
+            )  # fmt: skip
+        )
+        if model.jnt_type[j] == 3 and a.motion[v] > 0.2:
+            for periods in (2, 4, 6, 8, 12):
+                found.append(
+                    Candidate(
+                        paths.JointCogging,
+                        name,
+                        ("sine", "cosine"),
+                        (0.0, 0.0),
+                        (torque, torque),
+                        fixed=(("periods", float(periods)),),
+                    )  # fmt: skip
+                )
+    return found + springs + _shared(springs) + rests
+
+
+def _bodies(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
+    found = []
+    for b in range(1, model.nbody):
+        name, mass = model.body(b).name, float(model.body(b).mass[0])
+        if not name or mass <= 0 or not moves(model, b):
+            continue
+        found.append(
+            Candidate(
+                physics.BodyMass,
+                name,
+                ("mass",),
+                (mass,),
+                (mass,),
+                starts=tuple((mass * f,) for f in (0.3, 2.0, 5.0, 15.0, 40.0)),
+            )  # fmt: skip
+        )
+        reach = 0.3 * float(np.sqrt(model.body(b).inertia.max() / mass)) + 1e-3
+        found.append(Candidate(physics.BodyCom, name, ("x", "y", "z"), (0.0,) * 3, (reach,) * 3))
+        found.append(
+            Candidate(
+                physics.Payload,
+                name,
+                ("mass", "x", "y", "z"),
+                (0.0,) * 4,
+                (mass, *(3 * reach,) * 3),
+                starts=((0.2 * mass, 0.0, 0.0, 0.0), (0.2 * mass, 3 * reach, 0.0, 3 * reach)),
+            )  # fmt: skip
+        )
+    roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and model.body(b).name and moves(model, b)]
+    weight = float(np.median(a.inertia)) * float(np.median(a.speed)) / a.horizon + 0.05 * float(model.body_mass.sum())
+    return found + [
+        Candidate(paths.ExternalForce, model.body(b).name, ("x", "y", "z"), (0.0,) * 3, (weight,) * 3) for b in roots
+    ]
+
+
+def moves(model: mujoco.MjModel, b: int) -> bool:
+    """Whether any joint moves a body."""
+    while b:
+        if model.body_dofnum[b]:
+            return True
+        b = model.body_parentid[b]
+    return False
+
+
+def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
+    found: list[Candidate] = []
+    limits = np.abs(
+        np.concatenate([[0.0], model.actuator_ctrlrange[model.actuator_ctrllimited.astype(bool)].ravel()])
+    ).max()
+    rows = [
+        (physics.ActuatorGain, "gain", 1.0, lambda i: 0.3, lambda i: ((0.5,), (2.0,))),
+        (paths.ActuatorBias, "bias", 0.0, lambda i: 0.5 * a.command[i], lambda i: ()),
+        (paths.ActuatorDeadzone, "width", 0.0, lambda i: 0.3 * a.command[i],
+         lambda i: tuple((f * a.command[i],) for f in (0.2, 0.6))),
+        (paths.ActuatorDelay, "delay", 0.0, lambda i: a.dt, lambda i: tuple((f * a.dt,) for f in (0.5, 1.0, 2.0, 4.0))),
+        (paths.ActuatorLag, "time_constant", 0.0, lambda i: a.dt, lambda i: tuple((f * a.dt,) for f in (0.3, 1.0, 3.0))),
+        (paths.ActuatorSaturation, "limit", float(limits or 3 * a.command.max(initial=1.0)), lambda i: 0.5 * a.command[i],
+         lambda i: tuple((f * a.command[i],) for f in (0.5, 1.0, 1.4))),
+    ]  # fmt: skip
+    for kind, parameter, nominal, scale, starts in rows:
+        singles = [
+            Candidate(kind, model.actuator(i).name, (parameter,), (nominal,), (float(scale(i)),), starts=starts(i))
+            for i in range(model.nu)
+            if model.actuator(i).name
+        ]
+        found += singles + _shared(singles)
+    return found
+
+
+def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
+    touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    if len(touching) < 2:
+        return []
+    slide = float(max(model.geom_friction[g, 0] for g in touching))
+    soft = float(model.geom_solref[touching[0], 0])
+    found = [
+        Candidate(physics.ContactFriction, "*", ("sliding",), (slide,), (0.3 * slide + 0.05,),
+                  starts=((0.3 * slide,), (0.6 * slide,), (1.7 * slide,))),
+    ]  # fmt: skip
+    if soft > 0:
+        found.append(
+            Candidate(
+                physics.ContactSoftness,
+                "*",
+                ("time_constant",),
+                (soft,),
+                (0.5 * soft,),
+                starts=((0.5 * soft,), (2.5 * soft,)),
+            )
+        )
+    frictions = model.geom_friction[touching, 0]
+    for g in touching:
+        if model.geom(g).name and len(set(frictions)) > 1:
+            own = float(model.geom_friction[g, 0])
+            found.append(Candidate(physics.ContactFriction, model.geom(g).name, ("sliding",), (own,), (0.3 * own + 0.05,),
+                                   starts=((0.4 * own,), (2.0 * own,))))  # fmt: skip
+    return found
+
+
+def _world(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
+    found = [
+        Candidate(
+            physics.FluidDrag,
+            "world",
+            ("density",),
+            (float(model.opt.density),),
+            (100.0,),
+            fixed=(("viscosity", float(model.opt.viscosity)),),
+        ),
+        Candidate(
+            physics.FluidDrag,
+            "world",
+            ("viscosity",),
+            (float(model.opt.viscosity),),
+            (1.0,),
+            fixed=(("density", float(model.opt.density)),),
+        ),
+    ]
+    if np.linalg.norm(model.opt.gravity) > 0 and abs(model.opt.gravity[2]) > 0.99 * np.linalg.norm(model.opt.gravity):
+        found.append(Candidate(physics.GravityDirection, "world", ("tilt_x", "tilt_y"), (0.0, 0.0), (0.1, 0.1)))
+    return found
+
+
+def numerics(model: mujoco.MjModel) -> list[physics.Numerics]:
+    """Other ways to integrate the same equations, finest last."""
+    h = float(model.opt.timestep)
+    return [
+        physics.Numerics("world", timestep=h / f, integrator=how)
+        for f, how in ((1, "implicitfast"), (1, "RK4"), (5, "implicitfast"))
+    ]

@@ -1,0 +1,206 @@
+"""Predictions of measured windows by the model with some effects, many windows at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from idapt_pl.diagnosis.data import Recording, Windows, difference, shift
+from idapt_pl.domains.effects import Effect
+from idapt_pl.domains.paths import Command, CommandEffect, ExternalForce, ForceEffect, SensingEffect
+
+Effects = tuple[Effect, ...]
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+COMMAND = mujoco.mjtState.mjSTATE_CTRL
+COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
+
+
+class Simulator:
+    """Replays windows from their first measured state.
+
+    Commands are held, not interpolated, and averaged over each time step, so that delays and time
+    stamps need not be multiples of it. Predictions are read off at the samples' own times.
+
+    Args:
+        spec: the nominal model.
+        data: the recordings.
+        velocities: compare velocities too (they were measured); else positions alone.
+        threads: for stepping; default all cores.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, data: list[Recording], velocities: bool, threads: int | None = None):
+        self.spec, self.data, self.velocities = spec, data, velocities
+        self.model = spec.copy().compile()
+        self.threads = threads or os.cpu_count() or 1
+        self.calls = 0
+        self._commands: dict = {}
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of what is compared at every sample."""
+        m = self.model
+        names = []
+        for j in range(m.njnt):
+            kind, name = m.jnt_type[j], m.joint(j).name or f"joint {j}"
+            size = {0: 6, 1: 3}.get(int(kind), 1)
+            names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+        return names + [f"{n} velocity" for n in names] * self.velocities
+
+    def compile(self, effects: Effects) -> mujoco.MjModel:
+        """The model with those effects that MJCF can say; command effects act on the commands instead."""
+        spec = self.spec.copy()
+        for effect in effects:
+            if not isinstance(effect, CommandEffect | ForceEffect | SensingEffect):
+                effect.apply(spec)
+        return spec.compile()
+
+    def residual(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> np.ndarray:
+        """Measured minus predicted at every sample, (n, j, channels).
+
+        Args:
+            effects: the model's.
+            windows: to compare.
+            nudge: moves the first measured state, (2 nv,), for sensitivities.
+        """
+        measured_q, measured_v = self._measured(windows, windows.offsets)
+        qpos, qvel = self.predict(effects, windows, nudge)
+        parts = [difference(self.model, qpos, measured_q)]
+        if self.velocities:
+            parts.append(measured_v - qvel)
+        return np.nan_to_num(np.concatenate(parts, -1), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
+
+    def predict(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
+        self.calls += 1
+        model = self.compile(effects)
+        qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
+        if nudge is not None:
+            qpos, qvel = shift(model, qpos, nudge[: model.nv]), qvel + nudge[model.nv :]
+        sensing = [(e, self._joints(e.target)) for e in effects if isinstance(e, SensingEffect)]
+        for effect, joints in reversed(sensing):
+            qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
+        times = self._times(windows)
+        ends = times[:, windows.offsets] - times[:, :1]
+        steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
+        controls = self._controls(effects, windows, steps, model.opt.timestep)
+        states = self._roll(model, effects, times[:, 0], qpos, qvel, controls)
+        qpos, qvel = read_off(model, states, ends)
+        for effect, joints in sensing:
+            qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
+        return qpos, qvel
+
+    def _times(self, windows: Windows) -> np.ndarray:
+        span = np.arange(windows.offsets[-1] + 1)
+        return np.stack([self.data[e].time[s + span] for e, s in zip(windows.episode, windows.start, strict=True)])
+
+    def _measured(self, windows: Windows, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pairs = list(zip(windows.episode, windows.start, strict=True))
+        return tuple(
+            np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs]) for name in ("qpos", "qvel")
+        )
+
+    def _joints(self, target: str) -> list[int]:
+        m = self.model
+        return [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and target in ("*", m.joint(j).name)]
+
+    def _sense(self, how, joints: list[int], qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        qpos, qvel = qpos.copy(), qvel.copy()
+        q, v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
+        qpos[..., q], qvel[..., v] = how(qpos[..., q], qvel[..., v])
+        return qpos, qvel
+
+    def _controls(self, effects: Effects, windows: Windows, steps: int, h: float) -> np.ndarray:
+        """Commands averaged over each time step, (n, steps, nu)."""
+        on_commands = tuple(e for e in effects if isinstance(e, CommandEffect))
+        key = (on_commands, steps, h, windows.start.tobytes(), windows.episode.tobytes())
+        if key not in self._commands:
+            if len(self._commands) > 8:
+                self._commands.clear()
+            self._commands[key] = self._average(on_commands, windows, steps, h)
+        return self._commands[key]
+
+    def _average(self, effects: tuple[CommandEffect, ...], windows: Windows, steps: int, h: float) -> np.ndarray:
+        nu = self.model.nu
+        out = np.zeros((len(windows), steps, nu))
+        names = [self.model.actuator(i).name for i in range(nu)]
+        for e in np.unique(windows.episode) if nu else ():
+            record, rows = self.data[e], np.flatnonzero(windows.episode == e)
+            command = Command(record.time, record.actions)
+            for effect in effects:
+                columns = [i for i in range(nu) if effect.target in ("*", names[i])]
+                command = effect.transform(command, columns, h)
+            # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
+            early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
+            edges = np.concatenate([[early], command.edges[: len(command.values)], [late]])
+            values = np.concatenate([command.values[:1], command.values])
+            total = np.concatenate([np.zeros((1, nu)), np.cumsum(values * np.diff(edges)[:, None], 0)])
+            at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)
+            for i in range(nu):
+                out[rows, :, i] = np.diff(np.interp(at, edges, total[:, i]), axis=1) / h
+        return out
+
+    def _roll(self, model, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
+        """States after every step, the first one in front: (n, steps + 1, size)."""
+        n, steps, _ = controls.shape
+        start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
+        start[:, 0], start[:, 1 : 1 + model.nq] = time, qpos
+        start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+        if model.na and controls.shape[2] == model.na:
+            start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
+        data = [mujoco.MjData(model) for _ in range(self.threads)]
+        forces = [e for e in effects if isinstance(e, ForceEffect)]
+        if not forces:
+            states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
+            return np.concatenate([start[:, None], states], 1)
+        states = [start]
+        for k in range(steps):
+            applied = self._forces(model, forces, states[-1])
+            step = np.concatenate([controls[:, k], applied], 1)[:, None]
+            after, _ = rollout.rollout(
+                model, data, states[-1], step, control_spec=int(COMMAND_AND_FORCE), persistent_pool=True
+            )
+            states.append(after[:, 0])
+        return np.stack(states, 1)
+
+    def _forces(self, model: mujoco.MjModel, forces: Sequence[ForceEffect], state: np.ndarray) -> np.ndarray:
+        joint, body = np.zeros((len(state), model.nv)), np.zeros((len(state), model.nbody, 6))
+        qpos, qvel = state[:, 1 : 1 + model.nq], state[:, 1 + model.nq : 1 + model.nq + model.nv]
+        for effect in forces:
+            if isinstance(effect, ExternalForce):
+                body[:, model.body(effect.target).id, :3] += effect.force(qpos, qvel, state[:, 0])
+                continue
+            joints = self._joints(effect.target)
+            q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+            joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
+        return np.concatenate([joint, body.reshape(len(state), -1)], 1)
+
+
+def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities at times after the first state, by cubic Hermite between steps.
+
+    Args:
+        model: the model the states belong to.
+        states: (n, steps + 1, size).
+        at: s, (n, j).
+    """
+    h, rows = model.opt.timestep, np.arange(len(states))[:, None]
+    qpos, qvel = states[..., 1 : 1 + model.nq], states[..., 1 + model.nq : 1 + model.nq + model.nv]
+    k = np.clip(np.floor(at / h + 1e-6).astype(int), 0, states.shape[1] - 1)
+    s = np.clip(at / h - k, 0.0, 1.0)[..., None]
+    if np.abs(s).max() < 1e-4:
+        return qpos[rows, k], qvel[rows, k]
+    after = np.minimum(k + 1, states.shape[1] - 1)
+    v = (1 - s) * qvel[rows, k] + s * qvel[rows, after]
+    if model.nq != model.nv:  # quaternions: the nearer step
+        nearest = np.where(s[..., 0] > 0.5, after, k)
+        return qpos[rows, nearest], v
+    q0, q1, v0, v1 = qpos[rows, k], qpos[rows, after], qvel[rows, k] * h, qvel[rows, after] * h
+    s2, s3 = s**2, s**3
+    q = (2 * s3 - 3 * s2 + 1) * q0 + (s3 - 2 * s2 + s) * v0 + (3 * s2 - 2 * s3) * q1 + (s3 - s2) * v1
+    return q, v

@@ -1,0 +1,306 @@
+"""From a finished search to a verdict, in the words of report.json."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from idapt_pl.diagnosis.statistics import window_loss
+from idapt_pl.domains.effects import Effect
+
+if TYPE_CHECKING:
+    from idapt_pl.diagnosis.search import Found, Search, Tried
+
+
+def judge(search: Search, tried: list[Tried]) -> dict:
+    """The report: verdict, errors on held-out episodes before and after, effects, candidates, signature."""
+    sim, state = search.sim, search.state
+    nominal = search.held_out.z(sim, search.declared)
+    final = search.held_out.z(sim, state.effects)
+    before, after = (float(np.sqrt(window_loss(z).mean())) for z in (nominal, final))
+    removable_before = black_box(search, search.declared, nominal)
+    removable = black_box(search, state.effects, final)
+    verdict = decide(search, before, after, float(np.median(window_loss(final))), removable)
+    physical = {
+        "before": rms(sim.residual(search.declared, search.held_out.windows)),
+        "after": rms(sim.residual(state.effects, search.held_out.windows)),
+    }
+    sensors = state.noise.sensors
+    return {
+        "schema": "idapt.diagnosis/1",
+        "verdict": verdict,
+        "error": {
+            "metric": f"root mean square of the whitened prediction error, Huber at 4 sigma, over windows of {search.steps} control steps",
+            "unit": "standard deviations of the measurement noise",
+            "split": "held-out episodes",
+            "fit_episodes": search.fit_episodes.tolist(),
+            "held_out_episodes": search.held_out_episodes.tolist(),
+            "horizon_s": round(search.horizon, 6),
+            "before": round(before, 4),
+            "after": round(after, 4),
+            "median_after": round(float(np.sqrt(np.median(window_loss(final)))), 4),
+            "noise_floor": 1.0,
+            "ceiling": round(float(np.sqrt(max(1.0 - max(removable_before, 0.0), 0.0))) * before, 4),
+            "removed_share": round(share(before, after), 4),
+            "black_box_could_still_remove": round(max(removable, 0.0), 4),
+            "per_channel": {
+                name: {
+                    "before": float(f"{b:.4g}"),
+                    "after": float(f"{a:.4g}"),
+                    "noise": float(f"{n:.4g}"),
+                    "unit": unit,
+                }
+                for name, b, a, n, unit in zip(
+                    sim.channels, physical["before"], physical["after"], sensors, units(sim), strict=True
+                )
+            },
+        },
+        "effects": [describe(f, search) for f in state.found]
+        + [numerical(e, sim) for e in state.fixed if e.name == "numerics" and e not in search.declared],
+        "declared": [e.to_dict() for e in search.declared],
+        "candidates": [candidate(t) for t in sorted(tried, key=lambda t: (t.round, -t.score)) if t.rejected_because][
+            :200
+        ],
+        "signature": signature(search, final) if verdict == "unexplained_residual" else "",
+        "next_experiment": advice(search, verdict),
+    }
+
+
+def share(before: float, after: float) -> float:
+    """Share of the removable squared error that was removed; 0 where there was none."""
+    return float(np.clip((before**2 - after**2) / max(before**2 - 1.0, 1e-9), -1.0, 1.0)) if before > 1.02 else 0.0
+
+
+def rms(residual: np.ndarray) -> np.ndarray:
+    """Root mean square of each channel, over windows and samples."""
+    return np.sqrt(np.square(residual).mean((0, 1)))
+
+
+def units(sim) -> list[str]:
+    """Units of the channels."""
+    m, out = sim.model, []
+    for j in range(m.njnt):
+        out += {0: ["m"] * 3 + ["rad"] * 3, 1: ["rad"] * 3, 2: ["m"], 3: ["rad"]}[int(m.jnt_type[j])]
+    return out + [f"{u}/s" for u in out] * sim.velocities
+
+
+def decide(search: Search, before: float, after: float, median_after: float, removable: float) -> str:
+    """The verdict; a remainder counts only if it is typical of the windows or could be predicted."""
+    left_over = after**2 > 1.6 and (median_after > 1.5 or removable > 0.25) and share(before, after) < 0.9
+    if search.state.found:
+        return "unexplained_residual" if left_over and (removable > 0.15 or median_after > 2.5) else "effects_found"
+    if any(e.name == "numerics" and e not in search.declared for e in search.state.fixed):
+        return "unexplained_residual" if left_over and removable > 0.25 else "effects_found"
+    if left_over and removable > 0.1:
+        return "unexplained_residual"
+    return "insufficient_excitation" if too_quiet(search) else "no_missing_effect"
+
+
+def too_quiet(search: Search) -> bool:
+    """Whether not even a change by half of what an actuator (or a body's mass) does would have been seen."""
+    wanted = [c for c in search.candidates if c.kind.name == "actuator_gain" and c.target != "*"]
+    wanted = wanted or [c for c in search.candidates if c.kind.name == "body_mass"]
+    if not wanted:
+        return False
+    z = search.screen.z(search.sim, search.state.effects)
+    limits = []
+    for c in wanted:
+        D = search.derivative([c], [np.array(c.nominal)], z)
+        limits.append(search.settings.z * c.scale[0] / max(float(np.linalg.norm(D)), 1e-12) / c.nominal[0])
+    return float(np.median(limits)) > 0.5
+
+
+def features(search: Search, windows) -> np.ndarray:
+    """What a black box may know of a window: first state and mean commands, with squares and signs."""
+    rows = []
+    for e, s in zip(windows.episode, windows.start, strict=True):
+        r, last = search.sim.data[e], s + windows.offsets[-1]
+        actions = r.actions[s:last]
+        half = len(actions) // 2
+        rows.append(
+            np.concatenate(
+                [r.qpos[s], r.qvel[s], actions[: half or 1].mean(0), actions[half:].mean(0), r.actions[max(s - 1, 0)]]
+            )
+        )
+    X = np.stack(rows)
+    spread = X.std(0)
+    X = (X - X.mean(0))[:, spread > 1e-9] / spread[spread > 1e-9]
+    X = np.clip(X, -4, 4)
+    return np.concatenate([X, np.square(X) - 1, np.tanh(3 * X), np.sin(2 * X)], 1)
+
+
+def black_box(search: Search, effects: tuple[Effect, ...], z_held: np.ndarray) -> float:
+    """Share of the held-out squared error that a ridge regression on state and commands predicts (R²)."""
+    z_fit = search.fit.z(search.sim, effects)
+    both = np.concatenate([search.fit.windows.start, search.held_out.windows.start])
+    windows = type(search.fit.windows)(
+        np.concatenate([search.fit.windows.episode, search.held_out.windows.episode]), both, search.fit.windows.offsets
+    )
+    X = features(search, windows)
+    A, B = X[: len(z_fit)], X[len(z_fit) :]
+    target, left = np.clip(z_fit, -6, 6), np.clip(z_held, -6, 6)
+    scores = []
+    for strength in (1.0, 10.0, 100.0):
+        ridge = np.linalg.solve(
+            A.T @ A + strength * len(A) ** 0.5 * np.eye(A.shape[1]), A.T @ (target - target.mean(0))
+        )
+        predicted = B @ ridge + target.mean(0)
+        scores.append(1.0 - np.square(left - predicted).mean() / max(np.square(left).mean(), 1e-12))
+    return float(max(scores))
+
+
+def describe(f: Found, search: Search) -> dict:
+    """One accepted effect in the words of report.json."""
+    without = [g for g in search.state.found if g is not f]
+    error = window_loss(search.held_out.z(search.sim, search.state.effects)).mean()
+    drop = window_loss(
+        search.held_out.z(search.sim, (*search.state.fixed, *(g.candidate.effect(g.x) for g in without)))
+    ).mean()
+    effect = f.candidate.effect(f.x)
+    return {
+        "effect": effect.name,
+        "target": effect.target,
+        "parameters": {
+            name: {
+                "nominal": float(f"{nominal:.6g}"),
+                "estimate": float(f"{value:.6g}"),
+                "ci95": [float(f"{v:.6g}") for v in interval],
+                "unit": unit,
+            }
+            for name, nominal, value, interval, unit in zip(
+                f.candidate.names, f.candidate.nominal, f.x, f.interval, f.candidate.units(), strict=True
+            )
+        },
+        "fixed": dict(f.candidate.fixed),
+        "error_after": round(float(np.sqrt(error)), 4),
+        "error_without": round(float(np.sqrt(drop)), 4),
+        "equivalent": [
+            {
+                "effect": t.candidate.kind.name,
+                "target": t.candidate.target,
+                "parameters": dict(zip(t.candidate.names, [float(f"{v:.6g}") for v in t.x[-1]], strict=True)),
+                "why": f"refitted, it leaves {np.sqrt(t.held_out):.3g} on held-out episodes: no clear difference",
+            }
+            for t in f.equivalent
+        ],
+    }
+
+
+def numerical(effect, sim) -> dict:
+    """Numerics as an effect of the report: discrete, so without intervals."""
+    return {
+        "effect": "numerics",
+        "target": "world",
+        "parameters": {
+            "timestep": {
+                "nominal": float(sim.model.opt.timestep),
+                "estimate": effect.timestep,
+                "ci95": None,
+                "unit": "s",
+            },
+            "integrator": {"nominal": "model's", "estimate": effect.integrator, "ci95": None, "unit": ""},
+        },
+        "error_after": None,
+        "equivalent": [],
+    }
+
+
+def candidate(t: Tried) -> dict:
+    """One candidate that was not accepted."""
+    gain = None if np.isnan(t.gain) else float(f"{t.gain:.4g}")
+    return {
+        "effect": t.candidate.kind.name,
+        "target": t.candidate.target,
+        "round": t.round + 1,
+        "score": float(f"{t.score:.4g}"),
+        "held_out_gain": gain,
+        "rejected_because": t.rejected_because,
+    }
+
+
+def signature(search: Search, z: np.ndarray) -> str:
+    """What an unexplained residual looks like: which channel, and what it goes along with."""
+    sim = search.sim
+    by_channel = np.square(np.clip(z, -20, 20)).reshape(len(z), -1, len(sim.channels)).mean((0, 1))
+    worst = int(np.argmax(by_channel))
+    w = search.held_out.windows
+    residual = sim.residual(search.state.effects, w)[..., worst][:, -1]
+    at = [(sim.data[e], s) for e, s in zip(w.episode, w.start, strict=True)]
+    nv, names = sim.model.nv, sim.channels[: sim.model.nv]
+    signals = {"1": np.ones(len(at)), "time in the episode": np.array([r.time[s] - r.time[0] for r, s in at])}
+    for i in range(nv):
+        v = np.array([r.qvel[s, i] for r, s in at])
+        signals |= {f"v({names[i]})": v, f"v|v|({names[i]})": v * np.abs(v), f"sign v({names[i]})": np.sign(v)}
+        if sim.model.nq == nv:
+            q = np.array([r.qpos[s, i] for r, s in at])
+            signals |= {f"q({names[i]})": q, f"sin 6q({names[i]})": np.sin(6 * q), f"cos 6q({names[i]})": np.cos(6 * q)}
+    for i in range(sim.model.nu):
+        u = np.array([r.actions[s, i] for r, s in at])
+        signals |= {f"u({i})": u, f"u|u|({i})": u * np.abs(u), f"sign u({i})": np.sign(u)}
+    scored = []
+    for name, x in signals.items():
+        spread = x.std() * residual.std()
+        c = (
+            float(np.corrcoef(x, residual)[0, 1])
+            if spread > 1e-12
+            else float(abs(residual.mean()) / (residual.std() + 1e-12)) * (name == "1")
+        )
+        scored.append((abs(c), c, name))
+    scored.sort(reverse=True)
+    period = dominant_period(search, worst)
+    return (
+        f"largest in {sim.channels[worst]} ({np.sqrt(by_channel[worst]):.2g} sigma); goes along with "
+        + ", ".join(f"{name} (r = {c:+.2f})" for _, c, name in scored[:3])
+        + (f"; repeats every {period:.3g} s" if period else "")
+        + ". A description, not a cause."
+    )
+
+
+def dominant_period(search: Search, channel: int) -> float | None:
+    """Period of a residual that repeats in time, from consecutive windows of the longest held-out episode."""
+    sim = search.sim
+    e = max(search.held_out_episodes, key=lambda i: len(sim.data[i]))
+    from idapt_pl.diagnosis.data import cut
+
+    windows = cut(sim.data, np.array([e]), search.steps, 5, 10**6, 0)
+    if len(windows) < 16:
+        return None
+    r = sim.residual(search.state.effects, windows)[:, -1, channel]
+    power = np.square(np.abs(np.fft.rfft((r - r.mean()) * np.hanning(len(r)))))
+    k = int(np.argmax(power[1:])) + 1
+    return len(r) * search.horizon / k if power[k] > 0.4 * power[1:].sum() and k > 1 else None
+
+
+def advice(search: Search, verdict: str) -> str:
+    """What to record next."""
+    confounded = [f for f in search.state.found if f.equivalent]
+    if verdict == "insufficient_excitation":
+        return "Larger and more varied commands on every actuator (multisines over the range, steps, holds): these recordings barely move the joints."
+    if confounded:
+        f = confounded[0]
+        others = ", ".join(t.candidate.label for t in f.equivalent[:4])
+        return f"To tell {f.candidate.label} from {others}: " + separating(search, f)
+    if verdict == "unexplained_residual":
+        return "Repeat the same commands several times (what repeats is in the model, what does not is noise or time), and move one joint at a time at several speeds and loads."
+    return ""
+
+
+def separating(search: Search, f: Found) -> str:
+    """The recorded window on which two indistinguishable explanations disagree most: do more of that."""
+    t = f.equivalent[0]
+    others = tuple(g.candidate.effect(g.x) for g in search.state.found if g is not f)
+    w = search.fit.windows
+    a = search.fit.z(search.sim, (*search.state.fixed, *others, f.candidate.effect(f.x)))
+    b = search.fit.z(search.sim, (*search.state.fixed, *others, t.candidate.effect(t.x[-1])))
+    k = int(np.argmax(np.square(np.clip(a - b, -50, 50)).sum(1)))
+    r, s = search.sim.data[w.episode[k]], w.start[k]
+    speed = np.abs(r.qvel[s]) / (
+        np.sqrt(np.mean(np.square(np.concatenate([d.qvel for d in search.sim.data])), 0)) + 1e-9
+    )
+    joint = search.sim.channels[int(np.argmax(speed))]
+    commands = np.round(r.actions[s : s + w.offsets[-1]].mean(0), 3).tolist()
+    return (
+        f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two predictions "
+        f"differ by {np.sqrt(np.square(a[k] - b[k]).mean()):.2g} sigma, and with larger amplitudes of that kind."
+    )

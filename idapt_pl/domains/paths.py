@@ -1,0 +1,239 @@
+"""Effects on the way from a command to a force and from a motion to a measurement.
+
+Where MJCF has words for one, ``apply`` writes them. A simulation that replays recorded commands uses
+``transform``, ``force`` and ``measure`` instead: delays then need not be whole time steps.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from idapt_pl.domains.effects import Effect, elements, parameter
+
+
+@dataclass(frozen=True)
+class Command:
+    """Piecewise-constant commands: ``values[k]`` (nu,) holds from ``edges[k]`` to ``edges[k + 1]`` [s]."""
+
+    edges: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class CommandEffect(Effect):
+    """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``."""
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        """What arrives of a command. ``columns`` are the actuators meant, ``step`` the simulation's time step [s]."""
+        values = command.values.copy()
+        values[:, columns] = self.law(values[:, columns])
+        return Command(command.edges, values)
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        """For effects without memory: command to command."""
+        raise NotImplementedError
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        elements(spec, "actuators", self.target)  # no MJCF for it; the target must exist all the same
+
+
+def per_column(command: Command, columns: list[int], edges: np.ndarray, values: np.ndarray) -> Command:
+    """A command some of whose columns have other edges: both sets of edges are kept."""
+    union = np.union1d(command.edges, edges)
+    union = union[union < max(command.edges[-1], edges[-1])]
+    at = np.clip(np.searchsorted(command.edges, union, side="right") - 1, 0, len(command.values) - 1)
+    merged = command.values[at]
+    at = np.clip(np.searchsorted(edges, union, side="right") - 1, 0, len(values) - 1)
+    merged[:, columns] = values[at]
+    return Command(np.append(union, union[-1] + 10.0), merged)
+
+
+@dataclass(frozen=True)
+class ActuatorBias(CommandEffect):
+    """A constant added to every command."""
+
+    name: ClassVar[str] = "actuator_bias"
+    bias: float = parameter("command", -1e6, 1e6)
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        return values + self.bias
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+                actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[0] += actuator.gainprm[0] * self.bias
+
+
+@dataclass(frozen=True)
+class ActuatorDelay(CommandEffect):
+    """A pure delay of the command. What held before a recording began is taken to be its first command."""
+
+    name: ClassVar[str] = "actuator_delay"
+    delay: float = parameter("s", 0.0, 10.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        return per_column(command, columns, command.edges + self.delay, command.values[:, columns])
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.delay = self.delay
+            actuator.nsample = int(np.ceil(self.delay / spec.option.timestep)) + 1
+
+
+@dataclass(frozen=True)
+class ActuatorLag(CommandEffect):
+    """A first-order lag of the command (``dyntype="filterexact"``)."""
+
+    name: ClassVar[str] = "actuator_lag"
+    time_constant: float = parameter("s", 0.0, 10.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        if self.time_constant <= 0:
+            return command
+        edges = np.arange(command.edges[0], command.edges[-1], step)
+        held = command.values[np.clip(np.searchsorted(command.edges, edges + 1e-9, side="right") - 1, 0, None)][
+            :, columns
+        ]
+        keep = np.exp(-step / self.time_constant)
+        filtered = np.empty_like(held)
+        now = held[0]
+        for i, value in enumerate(held):
+            filtered[i] = now
+            now = keep * now + (1 - keep) * value
+        return per_column(command, columns, np.append(edges, command.edges[-1]), filtered)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            actuator.dynprm[0] = self.time_constant
+
+
+@dataclass(frozen=True)
+class ActuatorDeadzone(CommandEffect):
+    """Commands smaller than the width do nothing; larger ones lose it. MJCF has no words for it."""
+
+    name: ClassVar[str] = "actuator_deadzone"
+    width: float = parameter("command", 0.0, 1e6)
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        return np.sign(values) * np.maximum(np.abs(values) - self.width, 0.0)
+
+
+@dataclass(frozen=True)
+class ActuatorSaturation(CommandEffect):
+    """Commands are cut off at plus and minus the limit."""
+
+    name: ClassVar[str] = "actuator_saturation"
+    limit: float = parameter("command", 0.0, 1e6)
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        return np.clip(values, -self.limit, self.limit)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.ctrllimited, actuator.ctrlrange = True, (-self.limit, self.limit)
+
+
+@dataclass(frozen=True)
+class ForceEffect(Effect):
+    """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        elements(spec, self.kind, self.target)
+
+    kind: ClassVar[str] = "joints"
+
+    @abstractmethod
+    def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Torques on the joints meant, from their (n, joints) positions and velocities."""
+
+
+@dataclass(frozen=True)
+class JointStribeck(ForceEffect):
+    """Friction that falls with speed: (static - coulomb) exp(-(v/vs)²) + coulomb, against the motion (static >= coulomb)."""
+
+    name: ClassVar[str] = "joint_stribeck"
+    coulomb: float = parameter("N·m or N", 0.0, 1e6)
+    static: float = parameter("N·m or N", 0.0, 1e6)
+    speed: float = parameter("rad/s or m/s", 1e-4, 1e3, default=0.1)
+
+    def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
+        level = self.coulomb + max(self.static - self.coulomb, 0.0) * np.exp(-np.square(qvel / self.speed))
+        return -level * np.tanh(qvel / (0.1 * self.speed))
+
+
+@dataclass(frozen=True)
+class JointCogging(ForceEffect):
+    """A torque that repeats with the joint's angle: sine·sin(n q) + cosine·cos(n q)."""
+
+    name: ClassVar[str] = "joint_cogging"
+    sine: float = parameter("N·m", -1e4, 1e4)
+    cosine: float = parameter("N·m", -1e4, 1e4, default=0.0)
+    periods: float = parameter("1/rev", 1.0, 1e3, default=6.0)
+
+    def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
+        return self.sine * np.sin(self.periods * qpos) + self.cosine * np.cos(self.periods * qpos)
+
+
+@dataclass(frozen=True)
+class ExternalForce(ForceEffect):
+    """A constant force on a body at its centre of mass, in the world's axes."""
+
+    name: ClassVar[str] = "external_force"
+    kind: ClassVar[str] = "bodies"
+    x: float = parameter("N", -1e6, 1e6, default=0.0)
+    y: float = parameter("N", -1e6, 1e6, default=0.0)
+    z: float = parameter("N", -1e6, 1e6, default=0.0)
+
+    def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
+        return np.broadcast_to((self.x, self.y, self.z), (len(time), 3))
+
+
+@dataclass(frozen=True)
+class SensingEffect(Effect):
+    """Something between a joint's motion and its measurement; target: a joint, or ``"*"``."""
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        elements(spec, "joints", self.target)
+
+    @abstractmethod
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is measured of positions and velocities."""
+
+    @abstractmethod
+    def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities from what was measured."""
+
+
+@dataclass(frozen=True)
+class SensorBias(SensingEffect):
+    """A constant added to a joint's measured position."""
+
+    name: ClassVar[str] = "sensor_bias"
+    bias: float = parameter("rad or m", -1e3, 1e3)
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos + self.bias, qvel
+
+    def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos - self.bias, qvel
+
+
+@dataclass(frozen=True)
+class SensorGain(SensingEffect):
+    """A factor on a joint's measured position and velocity."""
+
+    name: ClassVar[str] = "sensor_gain"
+    gain: float = parameter("1", 1e-3, 1e3)
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos * self.gain, qvel * self.gain
+
+    def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos / self.gain, qvel / self.gain
