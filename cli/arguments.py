@@ -6,10 +6,24 @@ import argparse
 import sys
 
 
-def parser(command: str, description: str) -> argparse.ArgumentParser:
+class Help(argparse.ArgumentDefaultsHelpFormatter):
+    """Shows defaults, but not that there is none."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        return action.help if action.default is None else super()._get_help_string(action)
+
+
+class HelpWithExamples(Help, argparse.RawDescriptionHelpFormatter):
+    """Leaves the lines of the description and the examples as they are."""
+
+
+def parser(command: str, description: str, examples: str = "") -> argparse.ArgumentParser:
     """A parser for ``idapt <command>`` that shows defaults."""
     return argparse.ArgumentParser(
-        prog=f"idapt {command}", description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+        prog=f"idapt {command}",
+        description=description,
+        epilog=examples,
+        formatter_class=HelpWithExamples if examples else Help,
     )
 
 

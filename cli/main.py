@@ -14,6 +14,7 @@ COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
     "collect": "write a trajectory file from a task, domain and policy",
     "evaluate": "target and source returns of a finished run",
+    "diagnose": "find the physical effects that a model lacks, from recordings",
     "import": "turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file",
     "doctor": "what works on this machine, and how to cure what does not",
 }

@@ -18,14 +18,26 @@ Encode = Callable[[np.ndarray], torch.Tensor]
 """Pixels uint8 (n, K, H, W, 3) to features (n, d)."""
 
 
+def encode_all(data: FrameStacks, encode: Encode, chunk: int = 256) -> torch.Tensor:
+    """Features of every observation, (n, d)."""
+    every = np.arange(len(data))
+    return torch.cat([encode(data.stacks(part)).cpu() for part in np.array_split(every, len(every) // chunk + 1)])
+
+
+def target_transitions(target: Sequence[Path | str], encode: Encode, frame_stack: int) -> Rollout:
+    """Transitions of several trajectory files; each file weighs the same."""
+    files = [encode_transitions(FrameStacks(read_all([p]), frame_stack), encode) for p in target]
+    longest = max(len(t["actions"]) for t in files)
+    return {n: torch.cat([t[n][torch.arange(longest) % len(t[n])] for t in files]) for n in files[0]}
+
+
 def encode_transitions(data: FrameStacks, encode: Encode, chunk: int = 256) -> Rollout:
     """Transitions (f(o_t), a_t, f(o_{t+1})) within episodes, never across the end of one.
 
     Returns:
         ``features`` (n, d), ``actions`` (n, nu), ``next_features`` (n, d).
     """
-    every = np.arange(len(data))
-    features = torch.cat([encode(data.stacks(part)) for part in np.array_split(every, len(every) // chunk + 1)])
+    features = encode_all(data, encode, chunk)
     now = torch.from_numpy(data.transitions)
     return {
         "features": features[now],
@@ -51,30 +63,13 @@ class OnPolicyDataModule(L.LightningDataModule):
 
     Args:
         collect: rolls the grounded environment out with the current F.
-        target: trajectory files of the target (images and actions); each weighs the same.
-        encode: the frozen features f.
-        frame_stack: K.
+        target_transitions: see :func:`target_transitions`.
         rollouts: length of an epoch.
     """
 
-    def __init__(
-        self,
-        collect: Callable[[], Rollout],
-        target: Sequence[Path | str],
-        encode: Encode,
-        frame_stack: int,
-        rollouts: int,
-    ) -> None:
+    def __init__(self, collect: Callable[[], Rollout], target_transitions: Rollout, rollouts: int) -> None:
         super().__init__()
-        self.collect, self.encode = collect, encode
-        self.target, self.frame_stack, self.rollouts = [str(p) for p in target], frame_stack, rollouts
-
-    def setup(self, stage: str) -> None:
-        files = [encode_transitions(FrameStacks(read_all([p]), self.frame_stack), self.encode) for p in self.target]
-        longest = max(len(t["actions"]) for t in files)
-        self.target_transitions = {
-            name: torch.cat([t[name][torch.arange(longest) % len(t[name])] for t in files]) for name in files[0]
-        }
+        self.collect, self.target_transitions, self.rollouts = collect, target_transitions, rollouts
 
     def train_dataloader(self) -> DataLoader:
         return DataLoader(_Rollouts(self), batch_size=None, num_workers=0)

@@ -29,7 +29,7 @@ class FrameStacks(Dataset):
         lengths = np.array([len(e) + 1 for e in trajectories])
         starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
         self._lags = np.arange(1 - frame_stack, 1)
-        self._first = starts  # index of the first frame of each observation's episode
+        self.first = starts  # index of the first frame of each observation's episode
         ends = np.cumsum(lengths) - 1
         self.transitions = np.setdiff1d(np.arange(len(self.frames)), ends)  # t whose t+1 is the same episode
         self.actions = np.concatenate([e.actions for e in trajectories]).astype(np.float32)
@@ -40,7 +40,7 @@ class FrameStacks(Dataset):
     def stacks(self, index: np.ndarray) -> np.ndarray:
         """Stacks at some observations: uint8 (n, K, H, W, 3), oldest frame first."""
         index = np.asarray(index)
-        return self.frames[np.maximum(index[:, None] + self._lags, self._first[index][:, None])]
+        return self.frames[np.maximum(index[:, None] + self._lags, self.first[index][:, None])]
 
     def __getitems__(self, index: list[int]) -> dict[str, torch.Tensor]:
         """A batch at once: ``pixels`` and, where asked for, ``state``."""

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 
 from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
+from datamodules.on_policy import Rollout, encode_all, target_transitions
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rollout import Act, Experience, VectorEnv, garat_rollout
+from idapt_pl.shooting import start_from_matching
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,9 @@ class Feeding:
         garat_exploring: share of them that explore, compared with the target's task-agnostic data; 0 leaves
             GARAT to the current policy's data alone (the paper).
         garat_rollout: environment steps in one GARAT rollout, over all simulations.
+        garat_start: what F is before GARAT: the ``identity`` (the paper), or what trajectory ``matching`` gives, an
+            affine law under which short replays in the source follow the target's recordings.
+        garat_ridge: with ``matching``, weight of the squared coefficients.
     """
 
     state_predictor_batch: int = 32
@@ -56,6 +68,8 @@ class Feeding:
     garat_envs: int = 10
     garat_exploring: float = 0.0
     garat_rollout: int = 5000
+    garat_start: Literal["identity", "matching"] = "identity"
+    garat_ridge: float = 1e4
 
 
 class Fitting:
@@ -116,9 +130,12 @@ class Fitting:
 
         def build() -> ActionTransformation:
             module = self.make.dynamics(encoder=copy.deepcopy(policy.actor.encoder), **self.worlds.action_bounds)
+            module.standardise(transitions(module))
             if initial is not None:  # F continues, on the newest features
                 kept = {k: v for k, v in initial.state_dict().items() if not k.startswith("encoder.")}
                 module.load_state_dict(kept, strict=False)
+            elif self.feeding.garat_start == "matching":
+                self.match(module, target)
             return module
 
         def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
@@ -133,9 +150,23 @@ class Fitting:
                 explore(seed, n),
                 round(self.feeding.garat_exploring * n),
             )
-            return OnPolicyDataModule(roll, target, F.encode, self.worlds.frame_stack, rollouts)
+            return OnPolicyDataModule(roll, transitions(F), rollouts)
+
+        def transitions(F: ActionTransformation) -> Rollout:
+            return target_transitions(target, F.encode, self.worlds.frame_stack)
 
         return self.stages.fit(step, "dynamics", build, feed, rollouts)
+
+    def match(self, F: ActionTransformation, target: Sequence[Path]) -> None:
+        """Give F a start by trajectory matching."""
+        data = FrameStacks(read_all(target), self.worlds.frame_stack)
+        f = F.encoder
+        states = (encode_all(data, F.encode) * f.std + f.mean).detach()
+        actions = torch.zeros(len(data), data.actions.shape[1])
+        actions[data.transitions] = torch.from_numpy(data.actions)
+        model = self.worlds.source_domain.compile()
+        left = start_from_matching(F, self.worlds.task, model, states, actions, data.first, self.feeding.garat_ridge)
+        log.info("F by trajectory matching: %s; left %.3g", F.affine.weight.detach().flatten().numpy().round(3).tolist(), left)
 
     def policy(
         self,

@@ -14,6 +14,10 @@ class UnusableData(ValueError):
     """A recording does not fit the model, or cannot be used; the message says where and why."""
 
 
+START_UP = 0.25
+"""Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
+
+
 @dataclass(frozen=True)
 class Recording:
     """One episode as the diagnosis sees it.
@@ -66,6 +70,8 @@ def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recordin
         UnusableData: naming the episode, what was expected and what came.
     """
     made, measured = [], True
+    if not (np.isfinite(data.dt) and data.dt > 0):
+        raise UnusableData(f"the control period dt must be a positive number of seconds, got {data.dt}")
     for i, episode in enumerate(data):
         where, seen = f"episode_{i}", episode.observations
         qpos, qvel = seen.get("qpos"), seen.get("qvel")
@@ -148,7 +154,7 @@ def cut(data: list[Recording], episodes: np.ndarray, steps: int, samples: int, l
     found = []
     for e in episodes:
         T = len(data[e])
-        skip = min(3, max(0, T - steps))
+        skip = min(int(np.ceil(START_UP / np.median(np.diff(data[e].time)))), T // 4, max(0, T - steps))
         starts = np.arange(skip, T - steps + 1, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
     every = np.concatenate(found) if found else np.zeros((0, 2), int)

@@ -93,7 +93,7 @@ def surroundings(model: mujoco.MjModel, data: list[Recording], horizon: float) -
         d.qpos[:], d.qvel[:] = r.qpos[len(r) // 2], r.qvel[len(r) // 2]
         mujoco.mj_forward(model, d)
         full = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, full, d.qM)
+        mujoco.mj_fullM(model, d, full)
         inertia.append(np.diag(full))
     speed = np.sqrt(np.mean(np.concatenate([np.square(r.qvel) for r in data]), 0))
     positions = np.concatenate([r.qpos for r in data])
@@ -139,7 +139,10 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
         singles = []
         for j in hinges:
             v = model.jnt_dofadr[j]
-            singles.append(Candidate(kind, model.joint(j).name, (parameter,), (float(nominal(v)),), (scale(v),)))
+            n, s = float(nominal(v)), float(scale(v))
+            # what sticks shows little of a small change: dry friction needs larger ones to start from
+            starts = tuple((n + f * s,) for f in (0.3, 1.0, 3.0)) if kind is physics.JointFrictionloss else ()
+            singles.append(Candidate(kind, model.joint(j).name, (parameter,), (n,), (s,), starts))
         found += singles + _shared(singles)
     springs, rests = [], []
     for j in hinges:
@@ -248,7 +251,16 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
             if model.actuator(i).name
         ]
         found += singles + _shared(singles)
-    return found
+    return found + _servos(model)
+
+
+def _servos(model: mujoco.MjModel) -> list[Candidate]:
+    servos = [i for i in range(model.nu) if model.actuator_biasprm[i, 1] and model.actuator(i).name]
+    stiff = [
+        Candidate(physics.ActuatorKp, model.actuator(i).name, ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,)))
+        for i in servos
+    ]
+    return stiff + _shared(stiff)
 
 
 def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:

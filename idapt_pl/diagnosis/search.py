@@ -27,6 +27,7 @@ from idapt_pl.diagnosis.statistics import (
     window_loss,
 )
 from idapt_pl.diagnosis.verdict import judge
+from idapt_pl.domains.paths import ActuatorDelay, ActuatorLag, SensingEffect
 
 log = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
@@ -57,7 +58,7 @@ class Settings:
     final_windows: int = 600
     relative_gain: float = 0.02
     removable_gain: float = 0.05
-    sureness: float = 2.33
+    sureness: float = 1.2
     z: float = 4.5
     seconds: float = 60.0
 
@@ -85,6 +86,7 @@ class Found:
     interval: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     error_after: float = float("nan")
     equivalent: list[Tried] = field(default_factory=list)
+    rivals: list[Tried] = field(default_factory=list)
 
 
 @dataclass
@@ -140,6 +142,7 @@ def diagnose(
     seed: int = 0,
     settings: Settings = Settings(),
     progress: Progress = lambda what, share: None,
+    threads: int | None = None,
 ) -> Diagnosis:
     """Which physical effects does the model lack, by the recordings?
 
@@ -153,6 +156,7 @@ def diagnose(
         seed: of the choice of windows.
         settings: how hard to look.
         progress: told what is being done.
+        threads: for simulating; default all cores.
 
     Raises:
         UnusableData: the recordings do not fit the model.
@@ -162,7 +166,7 @@ def diagnose(
     compiled = model.copy().compile()
     data, velocities = recordings(compiled, trajectories)
     fit, hold_out = split_episodes(len(data), fit, hold_out)
-    sim = Simulator(model, data, velocities)
+    sim = Simulator(model, data, velocities, threads)
     search = Search(sim, tuple(declared), fit, hold_out, candidates, seed, settings, progress)
     tried = search.run()
     progress("judging", 0.95)
@@ -231,7 +235,7 @@ class Search:
         per_window = (time.perf_counter() - started) / max(len(windows), 1)
         simulations = sum(c.size + len(c.starts) for c in self.candidates)
         budget = self.settings.seconds / 6 / max(simulations, 1)  # a screening takes a sixth of the time
-        return float(np.clip(budget / per_window / self.settings.screen_windows, 0.25, 1.0))
+        return float(np.clip(budget / per_window / self.settings.screen_windows, 0.3, 1.0))
 
     def cut(self, episodes: np.ndarray, limit: int, salt: int) -> Windows:
         windows = cut(self.sim.data, episodes, self.steps, 5, max(30, int(limit * self.limit)), self.seed + salt)
@@ -245,7 +249,7 @@ class Search:
         fit = self.cut(self.fit_episodes, s.fit_windows, 1)
         residual = self.sim.residual(effects, fit)
         S0 = initial_sensitivity(self.sim, effects, fit, residual)
-        self.state.noise = estimate_noise(self.sim, residual, S0, self.state.noise)
+        self.state.noise = estimate_noise(self.sim, residual, S0)
         self.fit = Split(fit, whitener(S0, self.state.noise))
         rows = np.random.default_rng(self.seed).permutation(len(fit))[: max(30, int(s.screen_windows * self.limit))]
         self.screen = Split(fit[np.sort(rows)], self.fit.W[np.sort(rows)])
@@ -264,9 +268,11 @@ class Search:
             self.progress(f"round {k + 1}: screening", share)
             ranked = self.screening(k)
             self.progress(f"round {k + 1}: confirming", share + 0.06)
-            confirmed = [self.confirm(t) for t in ranked[: self.settings.confirm]]
-            for t in ranked[self.settings.confirm :]:
-                t.rejected_because = t.rejected_because or "its score in the screen is below those refitted"
+            chosen = shortlist(ranked, self.settings.confirm)
+            confirmed = [self.confirm(t) for t in chosen]
+            for t in ranked:
+                if t not in chosen:
+                    t.rejected_because = t.rejected_because or "its score in the screen is below those refitted"
             tried += ranked
             best = self.accept(confirmed)
             if best is None:
@@ -274,6 +280,7 @@ class Search:
             self.renew()
             self.refit()
             self.retest_numerics()
+        self.swap()
         self.prune()
         self.finish()
         return tried
@@ -370,7 +377,9 @@ class Search:
             )
         if t.gain < s.removable_gain * max(level - 1.0, 0.0):
             return f"it removes {100 * t.gain / (level - 1):.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"
-        if np.median(now) < 1.15 and t.gain < 0.1 * level:
+        if t.round and t.gain < max(0.05 * level, 0.08):
+            return f"as a further effect it removes {100 * t.gain / level:.1f} % of the held-out error, less than 5 %"
+        if np.median(now) < 1.15 and t.gain < 0.15 * level:
             return "the typical window is at the noise floor already"
         return ""
 
@@ -379,33 +388,38 @@ class Search:
         passed = [t for t in confirmed if not t.rejected_because]
         if not passed:
             return None
-        top = min(passed, key=lambda t: t.held_out)
-        close = [t for t in passed if t.held_out - top.held_out <= self.indistinguishable(top, t)]
-        best = min(close, key=lambda t: (t.candidate.size, t.held_out))
+        top = min(passed, key=lambda t: t.held_out + self.handicap(t))
+        near = min(0.1 * max(top.gain, 0.0), 0.03 + 0.03 * top.held_out)
+        close = [t for t in passed if t.held_out - top.held_out <= near]
+        best = min(close, key=lambda t: (t.candidate.size, t.candidate.target == "*", t.held_out))
         for t in passed:
             if t is not best:
                 t.rejected_because = (
                     f"{best.candidate.label} leaves less ({best.held_out:.3g} against {t.held_out:.3g})"
                 )
-        found = Found(best.candidate, best.x[-1], equivalent=[t for t in close if t is not best])
+        alike = [t for t in close if t is not best and abs(t.held_out - best.held_out) <= self.indistinguishable(best, t)]
+        found = Found(best.candidate, best.x[-1], equivalent=alike)
         for t in found.equivalent:
             t.rejected_because = f"as good as {best.candidate.label}: these data cannot tell them apart"
+        found.rivals = sorted((t for t in confirmed if t.x and t is not best), key=lambda t: t.held_out)[:5]
         for f, x in zip(self.state.found, best.x[:-1], strict=True):
             f.x = x
         self.state.found.append(found)
         log.info("found %s = %s; held-out error %.3g", best.candidate.label, best.x[-1].round(4), best.held_out)
         return found
 
+    def handicap(self, t: Tried) -> float:
+        """Blaming the sensors moves measurements and predictions alike, and so imitates much: it must be clearly better."""
+        return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect) else 0.0
+
     def indistinguishable(self, a: Tried, b: Tried) -> float:
-        """How much larger b's held-out loss may be for the data not to tell the two apart."""
-        if a is b:
-            return 0.0
+        """How far apart two held-out losses may be for the data not to tell the two candidates apart."""
         z = []
         for t in (a, b):
             candidates = [f.candidate for f in self.state.found] + [t.candidate]
             z.append(window_loss(self.held_out.z(self.sim, (*self.state.fixed, *effects_of(candidates, t.x)))))
         _, se = paired_gain(z[1], z[0], self.held_out.windows.episode)
-        return min(2.0 * se, 0.1 * max(a.gain, 0.0), 0.05 + 0.02 * a.held_out + 0.02 * a.gain)
+        return max(2.0 * se, 0.005 * a.held_out)
 
     # --- keeping the model honest -------------------------------------------------------------------
 
@@ -425,27 +439,61 @@ class Search:
     def retest_numerics(self) -> None:
         """Is it how the equations are integrated? Tried as discrete effects, again after every addition."""
         self.progress("numerics", 0.08)
-        others = tuple(e for e in self.state.fixed if e.name != "numerics" or e in self.declared)
-        if len(others) != len(self.state.fixed):
+        if any(e.name == "numerics" for e in self.declared):
             return
-        found = tuple(f.candidate.effect(f.x) for f in self.state.found)
+        others = tuple(e for e in self.state.fixed if e.name != "numerics")
         now_fit = window_loss(self.screen.z(self.sim, self.state.effects))
         best, best_loss = None, float(now_fit.mean())
+        found, best_x = [f.candidate for f in self.state.found], ()
         for effect in numerics(self.sim.model):
-            loss = float(window_loss(self.screen.z(self.sim, (*others, effect, *found))).mean())
-            if loss < 0.98 * best_loss:
-                best, best_loss = effect, loss
+            if effect in self.state.fixed:
+                continue
+            x = [f.x for f in self.state.found]
+            if found:  # estimates shift with the integrator: compare after a refit
+                x = gauss_newton(self.sim, (*others, effect), found, x, self.screen.windows, self.screen.W, 3).x
+            loss = float(window_loss(self.screen.z(self.sim, (*others, effect, *effects_of(found, x)))).mean())
+            if loss < 0.98 * now_fit.mean() and loss < 1.3 * best_loss:  # about as good: the finer one, tried later
+                best, best_x, best_loss = effect, x, min(loss, best_loss)
         if best is None:
             return
         now = window_loss(self.held_out.z(self.sim, self.state.effects))
-        after = window_loss(self.held_out.z(self.sim, (*others, best, *found)))
+        after = window_loss(self.held_out.z(self.sim, (*others, best, *effects_of(found, best_x))))
         gain, error = paired_gain(now, after, self.held_out.windows.episode)
         level = float(now.mean())
         if gain - self.settings.sureness * error > 0 and gain > max(0.03 * level, 0.1 * max(level - 1.0, 0.0), 0.05):
             log.info("numerics: %s leaves %.3g of %.3g", best.to_dict()["parameters"], after.mean(), level)
             self.state.fixed = (*others, best)
+            for f, x in zip(self.state.found, best_x, strict=True):
+                f.x = x
+            self.limit = self.affordable()
             self.renew()
             self.refit()
+
+    def swap(self) -> None:
+        """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again."""
+        self.progress("trying rivals", 0.88)
+        for f in self.state.found:
+            rest = [g for g in self.state.found if g is not f]
+            now = window_loss(self.held_out.z(self.sim, self.state.effects))
+            best, best_loss, best_x = None, float(now.mean()), None
+            for t in f.rivals:
+                candidates = [*(g.candidate for g in rest), t.candidate]
+                start = [*(g.x for g in rest), t.x[-1]]
+                fit = gauss_newton(
+                    self.sim, self.state.fixed, candidates, start, self.fit.windows, self.fit.W, 4
+                )
+                after = window_loss(self.held_out.z(self.sim, (*self.state.fixed, *effects_of(candidates, fit.x))))
+                gain, error = paired_gain(now, after, self.held_out.windows.episode)
+                if after.mean() + self.handicap(t) < best_loss and gain > max(error, 0.03 * float(now.mean())):
+                    best, best_loss, best_x = t, float(after.mean()), fit.x
+            if best is not None:
+                log.info("%s in place of %s: %.3g", best.candidate.label, f.candidate.label, best_loss)
+                f.candidate, f.x, f.equivalent = best.candidate, best_x[-1], []
+                for g, x in zip(rest, best_x[:-1], strict=True):
+                    g.x = x
+                self.renew()
+                self.refit()
+                self.retest_numerics()
 
     def prune(self) -> None:
         """Leave out again what the later effects have made needless."""
@@ -492,9 +540,22 @@ class Search:
         at = 0
         for f in self.state.found:
             half = (width * scale)[at : at + f.candidate.size]
+            if f.candidate.kind in (ActuatorDelay, ActuatorLag):  # when in a time step a command acts is convention
+                half = half + 0.5 * self.sim.compile(self.state.fixed).opt.timestep
             low, high = f.candidate.bounds()
             f.interval = np.stack([np.maximum(f.x - half, low), np.minimum(f.x + half, high)], 1)
             at += f.candidate.size
+
+
+def shortlist(ranked: list[Tried], size: int) -> list[Tried]:
+    """The best ``size``, and the best of every kind of effect that scores a tenth of the best: scores are only linear."""
+    chosen = ranked[:size]
+    kinds = {t.candidate.kind for t in chosen}
+    for t in ranked[size:]:
+        if t.candidate.kind not in kinds and t.score > 0.1 * ranked[0].score and not t.rejected_because:
+            chosen.append(t)
+            kinds.add(t.candidate.kind)
+    return chosen
 
 
 def choose(found: list[Candidate], names: Sequence[str] | None) -> list[Candidate]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Sequence
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -17,6 +19,22 @@ Effects = tuple[Effect, ...]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
+
+
+# A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
+# A C function is called without Python's lock, so this is safe from the stepping threads.
+_SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
+
+
+@contextmanager
+def silence():
+    """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_SILENCE)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class Simulator:
@@ -89,7 +107,8 @@ class Simulator:
         ends = times[:, windows.offsets] - times[:, :1]
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
         controls = self._controls(effects, windows, steps, model.opt.timestep)
-        states = self._roll(model, effects, times[:, 0], qpos, qvel, controls)
+        with silence():
+            states = self._roll(model, effects, times[:, 0], qpos, qvel, controls)
         qpos, qvel = read_off(model, states, ends)
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from idapt_pl.diagnosis.data import Recording, Windows
+from idapt_pl.diagnosis.data import Recording, Windows, difference
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 
@@ -35,22 +36,19 @@ def initial_sensitivity(sim: Simulator, effects: Effects, windows: Windows, base
     return np.stack(columns, -1)
 
 
-def smoothness_noise(data: list[Recording], velocities: bool) -> np.ndarray:
+def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:
     """An upper bound on the sensors' noise: what a cubic through neighbouring samples cannot follow."""
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+    signals = [[difference(model, r.qpos[:1], r.qpos) for r in data], [r.qvel for r in data]]
     parts = []
-    for name in ("qpos", "qvel") if velocities else ("qpos",):
-        rough = [
-            sum(w * getattr(r, name)[i : len(r.time) - 4 + i] for i, w in enumerate(weights))
-            for r in data
-            if len(r) > 5
-        ]
-        rough = np.concatenate(rough) if rough else np.full((1, getattr(data[0], name).shape[1]), np.inf)
+    for episodes in signals if velocities else signals[:1]:
+        rough = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
+        rough = np.concatenate(rough) if rough else np.full((1, model.nv), np.inf)
         parts.append(1.4826 * np.median(np.abs(rough - np.median(rough, 0)), 0) / np.linalg.norm(weights))
     return parts
 
 
-def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray, ceiling: Noise | None = None) -> Noise:
+def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray) -> Noise:
     """Noise that explains the robust spread of the residuals, no larger than the smoothness of the data allows.
 
     Var(r_ji) = σ_i² + Σ_c S_jic² σ_c² is linear in the variances: non-negative least squares. Where the
@@ -66,17 +64,9 @@ def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray, ceiling
         A = np.concatenate([own + through[..., :nv], through[..., nv:]], -1)
     A = (A / spread[..., None]).reshape(-1, A.shape[-1])
     variances, _ = nnls(A, np.ones(len(A)), maxiter=50 * A.shape[1])
-    smooth = smoothness_noise(sim.data, sim.velocities)
+    smooth = smoothness_noise(sim.model, sim.data, sim.velocities)
     limit = np.concatenate(smooth)
     limit = np.concatenate([limit, np.full(len(variances) - channels, np.inf)])
-    if ceiling is not None:
-        limit = np.minimum(
-            limit,
-            np.concatenate([ceiling.sensors, ceiling.start[channels:] if sim.velocities else ceiling.start[nv:]])[
-                : len(limit)
-            ]
-            * 1.02,
-        )
     low = 0.1 * np.where(np.isfinite(limit), limit, 0.0) + 1e-9
     sigma = np.clip(np.sqrt(variances), low, np.maximum(limit, low))
     if sim.velocities:
@@ -210,12 +200,12 @@ def covariance(fit: Fit, clusters: np.ndarray) -> np.ndarray:
 
 
 def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> tuple[float, float]:
-    """Mean of before - after and its standard error, clustered by episode (by window if there is only one)."""
+    """Mean of before - after over windows, and its standard error.
+
+    Windows do not overlap, so their noise is independent. That some episodes show an effect more than others is
+    no reason to doubt it; if it helps in fewer than half of them, the error returned is infinite.
+    """
     gain = before - after
-    names = np.unique(clusters)
-    groups = [gain[clusters == c] for c in names] if len(names) > 2 else [gain[i : i + 1] for i in range(len(gain))]
-    sums, counts = np.array([g.sum() for g in groups]), np.array([len(g) for g in groups])
-    mean = sums.sum() / counts.sum()
-    k = len(groups)
-    se = np.sqrt(k / max(k - 1, 1) * np.square(sums - mean * counts).sum()) / counts.sum()
-    return float(mean), float(se)
+    helped = np.mean([gain[clusters == c].mean() > 0 for c in np.unique(clusters)])
+    error = float(gain.std() / np.sqrt(len(gain)))
+    return float(gain.mean()), error if helped >= 0.5 or gain.mean() <= 0 else float("inf")

@@ -87,12 +87,11 @@ def units(sim) -> list[str]:
 
 def decide(search: Search, before: float, after: float, median_after: float, removable: float) -> str:
     """The verdict; a remainder counts only if it is typical of the windows or could be predicted."""
-    left_over = after**2 > 1.6 and (median_after > 1.5 or removable > 0.25) and share(before, after) < 0.9
+    left_over = after**2 > 1.6 and (median_after > 1.5 or removable > 0.25)
     if search.state.found:
-        return "unexplained_residual" if left_over and (removable > 0.15 or median_after > 2.5) else "effects_found"
-    if any(e.name == "numerics" and e not in search.declared for e in search.state.fixed):
-        return "unexplained_residual" if left_over and removable > 0.25 else "effects_found"
-    if left_over and removable > 0.1:
+        poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0
+        return "unexplained_residual" if left_over and poor else "effects_found"
+    if left_over and (removable > 0.1 or median_after > 2.0):
         return "unexplained_residual"
     return "insufficient_excitation" if too_quiet(search) else "no_missing_effect"
 
@@ -212,6 +211,8 @@ def candidate(t: Tried) -> dict:
     return {
         "effect": t.candidate.kind.name,
         "target": t.candidate.target,
+        "parameters": dict(zip(t.candidate.names, [float(f"{v:.6g}") for v in t.x[-1]], strict=True)) if t.x else {},
+        "fixed": dict(t.candidate.fixed),
         "round": t.round + 1,
         "score": float(f"{t.score:.4g}"),
         "held_out_gain": gain,

@@ -344,3 +344,31 @@ class FluidDrag(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         spec.option.density, spec.option.viscosity = self.density, self.viscosity
+
+
+@dataclass(frozen=True)
+class ActuatorKp(Effect):
+    """Stiffness of a servo relative to nominal: what it does with command and position alike."""
+
+    name: ClassVar[str] = "actuator_kp"
+    factor: float = parameter("1", 0.0, 1e3)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.gainprm[0] *= self.factor
+            actuator.biasprm[0] *= self.factor
+            actuator.biasprm[1] *= self.factor
+
+
+@dataclass(frozen=True)
+class ActuatorKv(Effect):
+    """Velocity feedback of a servo, or the back-EMF of a motor: force = -kv · velocity."""
+
+    name: ClassVar[str] = "actuator_kv"
+    kv: float = parameter("force·s/rad or force·s/m", 0.0, 1e6)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+                actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[2] = -self.kv

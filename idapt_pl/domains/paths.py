@@ -97,14 +97,14 @@ class ActuatorLag(CommandEffect):
         if self.time_constant <= 0:
             return command
         edges = np.arange(command.edges[0], command.edges[-1], step)
-        held = command.values[np.clip(np.searchsorted(command.edges, edges + 1e-9, side="right") - 1, 0, None)][
-            :, columns
-        ]
+        held = np.searchsorted(command.edges, edges + 1e-9, side="right") - 1
+        held = command.values[np.clip(held, 0, len(command.values) - 1)][:, columns]
         keep = np.exp(-step / self.time_constant)
+        share = self.time_constant / step * (1 - keep)  # of the old value in the mean over a step
         filtered = np.empty_like(held)
         now = held[0]
         for i, value in enumerate(held):
-            filtered[i] = now
+            filtered[i] = value + share * (now - value)
             now = keep * now + (1 - keep) * value
         return per_column(command, columns, np.append(edges, command.edges[-1]), filtered)
 

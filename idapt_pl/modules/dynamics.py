@@ -77,6 +77,9 @@ class ActionTransformation(ManualModule):
         self.actor = mlp(d + nu, hidden, nu, nn.Tanh)
         self.actor[-1].weight.data.mul_(0.01)  # F starts as the identity
         self.actor[-1].bias.data.zero_()
+        self.affine = nn.Linear(d + nu, nu)  # a linear part beside the net, which a start can be given to
+        nn.init.zeros_(self.affine.weight)
+        nn.init.zeros_(self.affine.bias)
         self.log_std = nn.Parameter(torch.full((nu,), initial_log_std))
         self.value = mlp(d + nu, hidden, 1, nn.Tanh)
         self.D = mlp(2 * d + nu, hidden, 1, nn.Tanh)
@@ -104,7 +107,7 @@ class ActionTransformation(ManualModule):
 
     def residual(self, x: Tensor) -> torch.distributions.Normal:
         """Distribution of δ, in units of ``residual_scale`` × half the action range."""
-        return torch.distributions.Normal(self.actor(x), self.log_std.exp())
+        return torch.distributions.Normal(self.affine(x) + self.actor(x), self.log_std.exp())
 
     def apply_residual(self, actions: Tensor, delta: Tensor) -> Tensor:
         """a^S = clip((1-β)·a + β·(a + δ)) in physical units."""
@@ -124,9 +127,8 @@ class ActionTransformation(ManualModule):
 
     # --- learning ---------------------------------------------------------------------------------
 
-    def on_fit_start(self) -> None:
-        """Standardise by the target's transitions."""
-        target = self.trainer.datamodule.target_transitions
+    def standardise(self, target: dict[str, Tensor]) -> None:
+        """Take mean and spread from the target's transitions."""
         change = target["next_features"] - target["features"]
         for name, values in (("feature", target["features"]), ("change", change)):
             getattr(self, f"{name}_mean").copy_(values.mean(0))
@@ -199,7 +201,7 @@ class ActionTransformation(ManualModule):
         return self.agent_input(agent["next_features"], agent["next_actions"])
 
     def configure_optimizers(self) -> tuple[list, list]:
-        agent = [*self.actor.parameters(), self.log_std, *self.value.parameters()]
+        agent = [*self.actor.parameters(), *self.affine.parameters(), self.log_std, *self.value.parameters()]
         optimizers = [
             torch.optim.Adam(agent, lr=self.hparams.lr, fused=True),
             torch.optim.Adam(self.D.parameters(), lr=self.hparams.lr_discriminator, fused=True),

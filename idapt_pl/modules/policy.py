@@ -44,6 +44,10 @@ class ImageActor(nn.Module):
         u = mean if deterministic else normal.rsample()
         return self.center + self.half_range * torch.tanh(u), squashed_log_prob(normal.log_prob(u), u)
 
+    def normalise(self, actions: Tensor) -> Tensor:
+        """Actions in physical units to -1..1."""
+        return (actions - self.center) / self.half_range
+
 
 class TwinCritic(nn.Module):
     """Two Q(s, a) on states, never on images."""
@@ -89,6 +93,8 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: with ``supervised``, regression steps for each environment step.
         estimator_batch: with ``supervised``, observations in a regression step.
         lr_estimator: with ``supervised``, Adam.
+        action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
+            not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         bf16: bfloat16 autocast in the encoder.
     """
 
@@ -115,6 +121,7 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: float = 1.0,
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
+        action_cost: float = 0.0,
         bf16: bool = True,
     ) -> None:
         super().__init__()
@@ -192,8 +199,9 @@ class AsymmetricSAC(ManualModule):
         with torch.no_grad():
             action, log_prob = self.actor(self.features(batch["next_observation"]))
             next_q = self.critic_target(batch["next_state"], action).amin(0)
+            rewards = batch["rewards"] - self.hparams.action_cost * self.actor.normalise(batch["actions"]).square().mean(-1)
             target = sac_target(
-                batch["rewards"], batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
+                rewards, batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
             )
         q = self.critic(batch["state"], batch["actions"])
         loss = nnf.mse_loss(q, target.expand_as(q)) * 2

@@ -1,0 +1,159 @@
+"""Does `idapt diagnose` name what is missing, and nothing where nothing is? One row a case and seed.
+
+    python benchmarks/diagnosis.py --seeds 0 1 2            # all cases; finished rows are kept
+    python benchmarks/diagnosis.py --cases servo_lag --seeds 0 --baseline
+    python benchmarks/diagnosis.py --summary                # the table of what is there
+
+The recordings come from benchmarks/undeclared, which shares no code with the diagnosis. Writes
+results/diagnosis.csv. ``--baseline`` fits every single-parameter effect of the library at once, each joint or
+actuator on its own, and names the largest change: what a person would do who fits all parameters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
+import mujoco
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks.undeclared.cases import CASES, Case
+from benchmarks.undeclared.generate import generate
+from datamodules import read_trajectories
+from idapt_pl.diagnosis import diagnose
+from idapt_pl.files import write_atomically
+
+FIELDS = (
+    "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",
+    "before", "after", "removed_share", "relative_error", "covered", "class_size", "seconds",
+)  # fmt: skip
+
+
+def score(case: Case, report: dict) -> dict:
+    """Compare a report with the case's truth."""
+    physical = [e for e in report["effects"] if e["effect"] != "numerics"]
+    names = [(e["effect"], e["target"]) for e in physical]
+    classes = [[n, *((q["effect"], q["target"]) for q in e["equivalent"])] for n, e in zip(names, physical, strict=True)]
+    accepted = set().union(*case.accept) if case.accept else set()
+    if case.kind == "control":
+        right = not names and (report["verdict"] == "no_missing_effect" or case.may_abstain)
+    elif case.kind == "outside":
+        right = report["verdict"] == "unexplained_residual"
+    else:
+        right = any(
+            len(answer - {("numerics", "world")}) == len(names) and all(any(m in answer for m in c) for c in classes)
+            for answer in case.accept
+        )
+    return {
+        "right": int(right),
+        "top1": int(bool(classes) and any(m in accepted for m in classes[0])) if accepted else "",
+        "false_alarm": int(bool(names)) if case.kind == "control" else "",
+        "class_size": np.mean([len(c) for c in classes]) if classes else "",
+        **estimate(case, physical),
+    }
+
+
+def estimate(case: Case, physical: list[dict]) -> dict:
+    """Parameter error and interval coverage, for truths that were named and can be compared."""
+    errors, covered = [], []
+    for truth in case.truth:
+        for e in physical:
+            p = e["parameters"].get(truth.parameter)
+            if (e["effect"], e["target"]) == (truth.effect, truth.target) and p and truth.value is not None:
+                errors.append(abs(p["estimate"] - truth.value) / max(abs(truth.value - p["nominal"]), 1e-12))
+                covered.append(p["ci95"][0] <= truth.value <= p["ci95"][1])
+    if not errors:
+        return {"relative_error": "", "covered": ""}
+    return {"relative_error": round(float(np.mean(errors)), 5), "covered": float(np.mean(covered))}
+
+
+def run(case: Case, seed: int, folder: Path) -> dict:
+    """Record, diagnose, score."""
+    nominal, measured = generate(case, seed, folder / case.name / f"seed{seed}")
+    started = time.perf_counter()
+    report = diagnose(mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured), seed=seed).report
+    seconds = time.perf_counter() - started
+    shown = [f"{e['effect']}({e['target']})" for e in report["effects"]]
+    values = [f"{k}={p['estimate']}" for e in report["effects"] for k, p in e["parameters"].items()]
+    return {
+        "case": case.name, "kind": case.kind, "model": case.model, "seed": seed, "verdict": report["verdict"],
+        "found": " + ".join(shown), "estimate": " ".join(values),
+        "truth": " + ".join(f"{t.effect}({t.target})={t.value}" for t in case.truth),
+        **{k: report["error"][k] for k in ("before", "after", "removed_share")},
+        **score(case, report), "seconds": round(seconds, 1),
+    }  # fmt: skip
+
+
+def write(path: Path, rows: list[dict]) -> None:
+    """All rows, sorted, atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+    def dump(temporary: Path) -> None:
+        with temporary.open("w", newline="") as f:
+            table = csv.DictWriter(f, FIELDS)
+            table.writeheader()
+            table.writerows(sorted(rows, key=lambda r: (r["kind"], r["case"], int(r["seed"]))))
+
+    write_atomically(path, dump)
+
+
+def summarise(rows: list[dict]) -> str:
+    """The figures that matter, in a few lines."""
+
+    def mean(name: str, chosen: list[dict]) -> str:
+        values = [float(r[name]) for r in chosen if r[name] != ""]
+        return f"{np.mean(values):.3f} (n = {len(values)})" if values else "-"
+
+    named = [r for r in rows if r["kind"] in ("single", "double", "confounded")]
+    controls = [r for r in rows if r["kind"] == "control"]
+    outside = [r for r in rows if r["kind"] == "outside"]
+    removed = [float(r["removed_share"]) for r in named]
+    errors = [float(r["relative_error"]) for r in named if r["relative_error"] != ""]
+    seconds = [float(r["seconds"]) for r in rows]
+    return "\n".join(
+        [
+            f"top-1, identifiable cases         {mean('top1', named)}",
+            f"whole answer right                {mean('right', named)}",
+            f"outside the library: unexplained  {mean('right', outside)}",
+            f"controls: false alarms            {mean('false_alarm', controls)}",
+            f"removable error removed, median   {np.median(removed):.3f}" if removed else "",
+            f"parameter error, median           {np.median(errors):.4f}" if errors else "",
+            f"95 % intervals that cover         {mean('covered', named)}",
+            f"seconds a case, median / max      {np.median(seconds):.0f} / {max(seconds):.0f}",
+        ]
+    )
+
+
+def main() -> None:
+    """Run the missing rows and print the summary."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--cases", nargs="+", choices=sorted(CASES), default=list(CASES), metavar="CASE")
+    p.add_argument("--seeds", nargs="+", type=int, default=[0])
+    p.add_argument("--again", action="store_true", help="repeat rows that are there")
+    p.add_argument("--summary", action="store_true", help="only print what is there")
+    p.add_argument("--data", type=Path, default=ROOT / "runs" / "undeclared")
+    p.add_argument("--out", type=Path, default=ROOT / "results" / "diagnosis.csv")
+    o = p.parse_args()
+    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    wanted = [(c, s) for s in o.seeds for c in o.cases] if not o.summary else []
+    for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
+        same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
+        if same and not o.again:
+            continue
+        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data)]
+        write(o.out, rows)
+        r = rows[-1]
+        print(f"{name:32s} {seed} right={r['right']} {r['verdict']:22s} {r['found']} | {r['truth']} | {r['before']:.3g} -> {r['after']:.3g}  {r['seconds']} s", flush=True)
+    print(summarise(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""Find the physical effects that a model lacks, from recordings of the real thing.
+
+The recordings are replayed in the model in short windows from measured states. What the model gets
+wrong is traced to an effect (friction, mass, delay, ...) by switching every effect on, refitting the
+best and judging them on episodes that nothing was fitted to. DIR then holds report.html (start
+there), report.json, patched.xml (the repaired model), effects.yaml and TensorBoard events.
+See docs/diagnose.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import yaml
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+from cli.arguments import parser, show_bar
+from datamodules import read_trajectories
+from idapt_pl.diagnosis import Diagnosis, diagnose
+from idapt_pl.diagnosis.data import UnusableData
+from idapt_pl.diagnosis.model import read_model
+from idapt_pl.diagnosis.repaired import repair
+from idapt_pl.diagnosis.report import write_report
+from idapt_pl.diagnosis.search import Settings
+from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
+from idapt_pl.domains import Effect, effect_from_dict
+
+EXAMPLES = """examples:
+  idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
+  idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fit 0 1 2 --hold-out 3
+  idapt diagnose --model nominal.xml --data measured.h5 --out again --effects diagnosis/effects.yaml
+  idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
+      --candidates joint_damping joint_frictionloss joint_stribeck
+
+`idapt import` makes measured.h5 from CSV, NPZ, Minari, LeRobot or MCAP. An effects file is a list:
+  - effect: joint_damping
+    target: shoulder
+    parameters: {damping: 0.06}
+"""
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt diagnose``."""
+    p = parser("diagnose", __doc__, EXAMPLES)
+    p.add_argument("--model", type=Path, required=True, help="nominal model (MJCF)")
+    p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos, perhaps qvel, and actions")
+    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
+    p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")
+    p.add_argument("--fit", type=int, nargs="+", metavar="EPISODE", help="episodes to fit on (default: the others)")
+    p.add_argument(
+        "--hold-out", type=int, nargs="+", metavar="EPISODE", help="episodes to judge on (default: every fourth)"
+    )
+    p.add_argument("--candidates", nargs="+", metavar="EFFECT", help="consider these effects alone (default: all)")
+    p.add_argument("--max-effects", type=int, default=Settings.max_effects, metavar="N", help="stop after so many")
+    p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
+    o = p.parse_args(args)
+    if o.max_effects < 1:
+        p.error(f"--max-effects must be at least 1, got {o.max_effects}")
+    if o.out.exists() and not o.out.is_dir():
+        raise ValueError(f"{o.out}: --out is a file; name a folder")
+    model = read_model(o.model)
+    declared = read_effects(o.effects, model) if o.effects else ()
+    trajectories = read_trajectories(o.data)
+    try:
+        with progress_bar() as progress:
+            diagnosis = diagnose(
+                model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
+                replace(Settings(), max_effects=o.max_effects), progress,
+            )  # fmt: skip
+    except UnusableData as error:
+        raise ValueError(f"{o.data}: {error}") from None
+    write_report(diagnosis, o.out, o.model.name, o.data.name)
+    print_diagnosis(diagnosis, o.out)
+    return 0
+
+
+def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
+    """The effects in a YAML list, each tried on the model.
+
+    Raises:
+        ValueError: naming the file, the entry and what is known.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; expected a list of effects (YAML)")
+    try:
+        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(entries, list):
+        raise ValueError(f"{path}: expected a list of effects, got {type(entries).__name__}; see idapt diagnose --help")
+    spec, effects = model.copy(), []
+    for i, entry in enumerate(entries):
+        try:
+            effects.append(read_effect(entry))
+            effects[-1].apply(spec)
+            spec.copy().compile()
+        except ValueError as error:
+            raise ValueError(f"{path}: entry {i}: {' '.join(str(error).split())}") from None
+    return tuple(effects)
+
+
+def read_effect(entry: object) -> Effect:
+    """One entry of an effects file."""
+    if isinstance(entry, Mapping):
+        if not isinstance(entry.get("effect", ""), str):
+            raise ValueError(f"effect must be a name, got {entry['effect']!r}")
+        if not isinstance(entry.get("target", ""), str):
+            raise ValueError(f"effect {entry['effect']!r}: target must be a name, got {entry['target']!r}")
+        if not isinstance(entry.get("parameters", {}), Mapping):
+            raise ValueError(f"parameters must be names with values, got {entry['parameters']!r}")
+    return effect_from_dict(entry)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A bar for the diagnosis to report to."""
+    layout = "{desc:<22} {percentage:3.0f}% |{bar}| {elapsed}"
+    with tqdm(total=100, bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
+
+        def report(what: str, share: float) -> None:
+            bar.set_description_str(what, refresh=False)
+            bar.n = max(bar.n, round(100 * share))
+            bar.refresh()
+
+        yield report
+
+
+def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
+    """The verdict, the errors, the effects, and where the rest is."""
+    report, model, console = diagnosis.report, diagnosis.sim.model, Console()
+    for sentence in verdict_in_words(report, model):
+        console.print(escape(sentence), soft_wrap=True, highlight=False)
+    errors = Table(title=f"error on held-out episodes {report['error']['held_out_episodes']} (1 = measurement noise)")
+    for title, how in (("", "left"), ("error", "right"), ("", "left")):
+        errors.add_column(title, justify=how)
+    for name, value, what in error_rows(report):
+        errors.add_row(name, number(value), what)
+    console.print(errors)
+    if report["effects"]:
+        console.print(effects_table(report, model))
+    if report["signature"]:
+        console.print(f"the rest: {escape(report['signature'])}", soft_wrap=True, highlight=False)
+    if report["next_experiment"]:
+        console.print(f"next: {escape(report['next_experiment'])}", soft_wrap=True, highlight=False)
+    if unsaid := repair(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
+        names = ", ".join(meaning(e.name, e.target) for e in unsaid)
+        console.print(f"not in patched.xml, as MJCF has no words for it: {escape(names)}", soft_wrap=True)
+    console.print(f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model",
+                  soft_wrap=True, highlight=False)  # fmt: skip
+
+
+def effects_table(report: dict, model: mujoco.MjModel) -> Table:
+    """A row a parameter."""
+    table = Table(title="effects to add")
+    for title, how in (
+        ("effect", "left"), ("parameter", "left"), ("estimate", "right"), ("95 %", "right"), ("unit", "left"),
+        ("in the model", "right"),
+    ):  # fmt: skip
+        table.add_column(title, justify=how, overflow="fold")
+    for e in report["effects"]:
+        for name, p in e["parameters"].items():
+            value, interval = estimate(p["estimate"], p["ci95"])
+            nominal = p["nominal"] if isinstance(p["nominal"], str) else number(p["nominal"])
+            cells = (meaning(e["effect"], e["target"]), name, value, interval or "-",
+                     unit_at(model, e["target"], p["unit"]), nominal)  # fmt: skip
+            table.add_row(*map(escape, cells))
+    return table

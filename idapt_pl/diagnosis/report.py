@@ -1,0 +1,81 @@
+"""The files of a diagnosis: report.json, report.html, patched.xml, effects.yaml and TensorBoard's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import yaml
+from matplotlib.figure import Figure
+from torch.utils.tensorboard import SummaryWriter
+
+from idapt_pl.diagnosis.figures import figures
+from idapt_pl.diagnosis.page import page
+from idapt_pl.diagnosis.repaired import repair
+from idapt_pl.diagnosis.search import Diagnosis
+from idapt_pl.diagnosis.words import verdict_in_words
+from idapt_pl.domains.effects import Effect
+from idapt_pl.files import write_atomically, write_json
+
+
+def write_report(diagnosis: Diagnosis, folder: Path, model_name: str, data_name: str) -> None:
+    """Write everything a diagnosis leaves behind.
+
+    Args:
+        diagnosis: finished.
+        folder: made if it is not there; also TensorBoard's log folder.
+        model_name: of the nominal model, for the page's title.
+        data_name: of the recordings.
+
+    Raises:
+        RuntimeError: the repaired model does not load from ``folder``.
+    """
+    write_json(folder / "report.json", diagnosis.report)
+    write_effects(folder / "effects.yaml", accepted(diagnosis))
+    repaired = repair(diagnosis.sim.spec, diagnosis.effects, folder)
+    drawn = figures(diagnosis)
+    html = page(diagnosis, repaired, drawn, model_name, data_name)
+    write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
+    log_to_tensorboard(folder, diagnosis, drawn)
+    write_atomically(folder / "patched.xml", lambda path: write_model(path, repaired.patched))
+
+
+def accepted(diagnosis: Diagnosis) -> list[Effect]:
+    """What the diagnosis adds to the effects declared before."""
+    return [e for e in diagnosis.effects if e not in diagnosis.declared]
+
+
+def write_effects(path: Path, effects: list[Effect]) -> None:
+    """A list as a domain or ``idapt diagnose --effects`` takes it."""
+    text = yaml.safe_dump([e.to_dict() for e in effects], sort_keys=False, allow_unicode=True)
+    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def write_model(path: Path, xml: str) -> None:
+    """Write a model and load it again."""
+    path.write_text(xml, encoding="utf-8")
+    try:
+        mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise RuntimeError(
+            f"{path.parent}: the repaired model does not load ({' '.join(str(error).split())}), so there is no "
+            "patched.xml; the effects are in effects.yaml"
+        ) from None
+
+
+def log_to_tensorboard(folder: Path, diagnosis: Diagnosis, drawn: dict[str, Figure]) -> None:
+    """Errors, estimates with their intervals, the verdict and the figures."""
+    report = diagnosis.report
+    with SummaryWriter(folder) as writer:
+        for name in ("before", "after", "noise_floor", "ceiling", "removed_share"):
+            writer.add_scalar(f"error/{name}", report["error"][name], 0)
+        for effect in report["effects"]:
+            for name, p in effect["parameters"].items():
+                if isinstance(p["estimate"], str):
+                    continue
+                tag = f"effects/{effect['effect']}/{effect['target']}/{name}"
+                for suffix, value in zip(("", "_low", "_high"), (p["estimate"], *(p["ci95"] or ())), strict=False):
+                    writer.add_scalar(tag + suffix, value, 0)
+        writer.add_text("verdict", " ".join(verdict_in_words(report, diagnosis.sim.model)), 0)
+        for name, figure in drawn.items():
+            writer.add_figure(name, figure, 0)

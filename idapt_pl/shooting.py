@@ -1,0 +1,141 @@
+"""A first F by trajectory matching: short replays of the target's recordings in the source, before GARAT refines it.
+
+As in grounded action transformation (Hanna & Stone 2017), F should make the source move as the target was seen to
+move; here through the simulator rather than through two learned models, since the source can be put into any state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from torch import Tensor
+
+from idapt_pl.tasks import Task
+
+Act = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(parameters (p,), states (n, state_dim), target actions (n, nu)) to source actions (n, nu)."""
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Windows of what was seen of the target: positions (n, H+1, nq) and the actions between them (n, H, nu)."""
+
+    qpos: np.ndarray
+    actions: np.ndarray
+    episode: np.ndarray
+
+
+def windows(qpos: np.ndarray, actions: np.ndarray, first: np.ndarray, length: int, stride: int) -> Sightings:
+    """Cut sightings of whole episodes into windows that do not cross an episode's end.
+
+    Args:
+        qpos: of every observation, (N, nq).
+        actions: at every observation (anything at an episode's last), (N, nu).
+        first: index of the first observation of each observation's episode, (N,).
+        length: control steps in a window, H.
+        stride: between the starts of windows.
+    """
+    starts = np.arange(0, len(qpos) - length, stride)
+    starts = starts[first[starts] == first[starts + length]]
+    if not len(starts):
+        raise ValueError(f"no episode in the target lasts {length} control steps, which trajectory matching needs")
+    return Sightings(
+        np.stack([qpos[starts + j] for j in range(length + 1)], 1).astype(float),
+        np.stack([actions[starts + j] for j in range(length)], 1).astype(float),
+        first[starts],
+    )
+
+
+class Matching:
+    """Least squares over parameters of an action law; every window's first state is free and projected out.
+
+    Args:
+        task: gives the state vector and the control period.
+        model: of the source.
+        seen: what to match.
+        act: the action law.
+    """
+
+    def __init__(self, task: Task, model: mujoco.MjModel, seen: Sightings, act: Act) -> None:
+        self.task, self.model, self.seen, self.act = task, model, seen, act
+        self.data = [mujoco.MjData(model) for _ in range(2)]
+        self.dt = model.opt.timestep * task.frame_skip
+
+    def replay(self, parameters: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Positions along every window, (n, (H+1) nq)."""
+        m = self.model
+        low, high = m.actuator_ctrlrange.T
+        x = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], 1)
+        seen = [qpos]
+        for j in range(self.seen.actions.shape[1]):
+            states = x[:, 1 : 1 + m.nq + m.nv]
+            u = np.clip(self.act(parameters, states, self.seen.actions[:, j]), low, high)
+            after, _ = rollout.rollout(
+                m, self.data, x, np.repeat(u[:, None], self.task.frame_skip, 1), persistent_pool=True
+            )
+            x = after[:, -1]
+            seen.append(x[:, 1 : 1 + m.nq])
+        return np.stack(seen, 1).reshape(len(qpos), -1)
+
+    def fit(self, parameters: np.ndarray, ridge: float, iterations: int = 8) -> tuple[np.ndarray, float]:
+        """Gauss-Newton with Huber weights. Returns the parameters and the robust scale of what is left, m or rad."""
+        m, seen = self.model, self.seen
+        n, nq = len(seen.qpos), m.nq
+        qpos, qvel = seen.qpos[:, 0].copy(), (seen.qpos[:, 1] - seen.qpos[:, 0]) / self.dt
+        target, p, scale = seen.qpos.reshape(n, -1), parameters.astype(float), 1.0
+        for _ in range(iterations):
+            base = self.replay(p, qpos, qvel)
+            left = target - base
+            steps = 1e-4 * np.eye(nq + m.nv)
+            S = np.stack([(self.replay(p, qpos + s[:nq], qvel + s[nq:]) - base) / 1e-4 for s in steps], -1)
+            J = np.stack([(self.replay(p + s, qpos, qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))], -1)
+            Q = np.linalg.qr(S)[0]
+            r, K = (v - Q @ (Q.transpose(0, 2, 1) @ v) for v in (left[..., None], J))
+            scale = 1.4826 * float(np.median(np.abs(r)))
+            weight = 1.0 / np.maximum(1.0, np.abs(r) / (3 * scale)) / scale**2
+            A = np.einsum("nij,nik->jk", K * weight, K) + ridge * np.eye(len(p))
+            move = np.linalg.solve(A, np.einsum("nij,ni->j", K * weight, r[..., 0]) - ridge * p)
+            p = p + move
+            start = np.einsum("nij,nj->ni", np.linalg.pinv(S), left - J @ move)
+            qpos, qvel = qpos + np.clip(start[:, :nq], -0.05, 0.05), qvel + np.clip(start[:, nq:], -1.0, 1.0)
+        return p, scale
+
+
+@torch.no_grad()
+def start_from_matching(
+    F, task: Task, model: mujoco.MjModel, states: Tensor, actions: Tensor, first: np.ndarray, ridge: float, length: int = 5
+) -> float:
+    """Set F's affine part by trajectory matching on estimated target states. Returns the robust remainder.
+
+    Args:
+        F: the action transformation; its features must be standardised states (``encoder: supervised``).
+        task: the task, whose state must be its positions followed by its velocities.
+        model: of the source.
+        states: estimated from the target's images, in units, (N, state_dim).
+        actions: (N, nu).
+        first: index of the first observation of each observation's episode.
+        ridge: weight of the squared coefficients, against the noise of the estimates.
+        length: control steps in a window.
+    """
+    if model.nq + model.nv != states.shape[1]:
+        raise ValueError(f"trajectory matching needs a state of positions and velocities; {task.name} has another one")
+    nu = len(F.low)
+
+    def law(parameters: np.ndarray, state: np.ndarray, action: np.ndarray) -> np.ndarray:
+        a = torch.from_numpy(action).float()
+        x = F.agent_input((torch.from_numpy(state).float() - F.encoder.mean) / F.encoder.std, a)
+        weights = torch.from_numpy(parameters).float().view(nu, -1)
+        return F.apply_residual(a, x @ weights[:, :-1].T + weights[:, -1]).double().numpy()
+
+    seen = windows(states[:, : model.nq].numpy(), actions.numpy(), first, length, stride=max(1, length // 2))
+    size = F.affine.weight.numel() + nu
+    fitted, left = Matching(task, model, seen, law).fit(np.zeros(size), ridge)
+    weights = torch.from_numpy(fitted).float().view(nu, -1)
+    F.affine.weight.copy_(weights[:, :-1])
+    F.affine.bias.copy_(weights[:, -1])
+    return left
