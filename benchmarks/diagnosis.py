@@ -5,8 +5,9 @@
     python benchmarks/diagnosis.py --summary                # the table of what is there
 
 The recordings come from benchmarks/undeclared, which shares no code with the diagnosis. Writes
-results/diagnosis.csv. ``--baseline`` fits every single-parameter effect of the library at once, each joint or
-actuator on its own, and names the largest change: what a person would do who fits all parameters.
+results/diagnosis.csv. ``--baseline`` also fits every single-parameter MJCF effect of the library at once, each joint
+and actuator on its own, and names the largest change: what a person would do who fits all parameters. ``ceiling`` is
+the other baseline, a black box (regression on state and commands) that corrects the nominal model.
 """
 
 from __future__ import annotations
@@ -29,11 +30,16 @@ from benchmarks.undeclared.cases import CASES, Case
 from benchmarks.undeclared.generate import generate
 from datamodules import read_trajectories
 from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis.data import recordings
+from idapt_pl.diagnosis.search import Search, Settings, split_episodes
+from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.statistics import effects_of, gauss_newton, window_loss
 from idapt_pl.files import write_atomically
 
 FIELDS = (
     "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",
-    "before", "after", "removed_share", "relative_error", "covered", "class_size", "seconds",
+    "before", "after", "ceiling", "removed_share", "relative_error", "covered", "class_size", "seconds",
+    "all_parameters_names", "all_parameters_top1", "all_parameters_after",
 )  # fmt: skip
 
 
@@ -41,7 +47,9 @@ def score(case: Case, report: dict) -> dict:
     """Compare a report with the case's truth."""
     physical = [e for e in report["effects"] if e["effect"] != "numerics"]
     names = [(e["effect"], e["target"]) for e in physical]
-    classes = [[n, *((q["effect"], q["target"]) for q in e["equivalent"])] for n, e in zip(names, physical, strict=True)]
+    classes = [
+        [n, *((q["effect"], q["target"]) for q in e["equivalent"])] for n, e in zip(names, physical, strict=True)
+    ]
     accepted = set().union(*case.accept) if case.accept else set()
     if case.kind == "control":
         right = not names and (report["verdict"] == "no_missing_effect" or case.may_abstain)
@@ -75,7 +83,7 @@ def estimate(case: Case, physical: list[dict]) -> dict:
     return {"relative_error": round(float(np.mean(errors)), 5), "covered": float(np.mean(covered))}
 
 
-def run(case: Case, seed: int, folder: Path) -> dict:
+def run(case: Case, seed: int, folder: Path, baseline: bool) -> dict:
     """Record, diagnose, score."""
     nominal, measured = generate(case, seed, folder / case.name / f"seed{seed}")
     started = time.perf_counter()
@@ -87,9 +95,37 @@ def run(case: Case, seed: int, folder: Path) -> dict:
         "case": case.name, "kind": case.kind, "model": case.model, "seed": seed, "verdict": report["verdict"],
         "found": " + ".join(shown), "estimate": " ".join(values),
         "truth": " + ".join(f"{t.effect}({t.target})={t.value}" for t in case.truth),
-        **{k: report["error"][k] for k in ("before", "after", "removed_share")},
+        **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1),
+        **(fit_all_parameters(case, nominal, measured, seed) if baseline else {}),
     }  # fmt: skip
+
+
+def fit_all_parameters(case: Case, nominal: Path, measured: Path, seed: int) -> dict:
+    """The baseline: every parameter of MJCF that the library knows, fitted at once; the largest change is named.
+
+    Changes are compared in units of the library's scales, as a person would compare them with what is usual.
+    """
+    model, trajectories = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
+    compiled = model.copy().compile()
+    data, velocities = recordings(compiled, trajectories)
+    sim = Simulator(model, data, velocities)
+    search = Search(sim, (), *split_episodes(len(data), None, None), None, seed, Settings(), lambda what, share: None)
+    singles = [
+        c for c in search.candidates if c.size == 1 and c.target != "*" and c.kind.__module__.endswith("effects")
+    ]
+    fit = gauss_newton(
+        sim, (), singles, [np.array(c.nominal) for c in singles], search.screen.windows, search.screen.W, 4
+    )
+    change = [abs(x[0] - c.nominal[0]) / c.scale[0] for c, x in zip(singles, fit.x, strict=True)]
+    largest = singles[int(np.argmax(change))]
+    after = window_loss(search.held_out.z(sim, effects_of(singles, fit.x))).mean()
+    accepted = set().union(*case.accept) if case.accept else set()
+    return {
+        "all_parameters_names": largest.label,
+        "all_parameters_top1": int((largest.kind.name, largest.target) in accepted) if accepted else "",
+        "all_parameters_after": round(float(np.sqrt(after)), 4),
+    }
 
 
 def write(path: Path, rows: list[dict]) -> None:
@@ -127,6 +163,7 @@ def summarise(rows: list[dict]) -> str:
             f"removable error removed, median   {np.median(removed):.3f}" if removed else "",
             f"parameter error, median           {np.median(errors):.4f}" if errors else "",
             f"95 % intervals that cover         {mean('covered', named)}",
+            f"all parameters at once: top-1     {mean('all_parameters_top1', named)}",
             f"seconds a case, median / max      {np.median(seconds):.0f} / {max(seconds):.0f}",
         ]
     )
@@ -137,6 +174,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--cases", nargs="+", choices=sorted(CASES), default=list(CASES), metavar="CASE")
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
+    p.add_argument("--baseline", action="store_true", help="also fit all parameters at once")
     p.add_argument("--again", action="store_true", help="repeat rows that are there")
     p.add_argument("--summary", action="store_true", help="only print what is there")
     p.add_argument("--data", type=Path, default=ROOT / "runs" / "undeclared")
@@ -148,10 +186,14 @@ def main() -> None:
         same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
         if same and not o.again:
             continue
-        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data)]
+        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data, o.baseline)]
         write(o.out, rows)
         r = rows[-1]
-        print(f"{name:32s} {seed} right={r['right']} {r['verdict']:22s} {r['found']} | {r['truth']} | {r['before']:.3g} -> {r['after']:.3g}  {r['seconds']} s", flush=True)
+        errors = f"{r['before']:.3g} -> {r['after']:.3g}"
+        print(
+            f"{name:32s} {seed} right={r['right']} {r['verdict']:22s} {r['found']} | {r['truth']} | {errors}",
+            flush=True,
+        )
     print(summarise(rows))
 
 

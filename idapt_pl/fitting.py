@@ -23,7 +23,6 @@ from idapt_pl.shooting import start_from_matching
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
-
 log = logging.getLogger(__name__)
 
 
@@ -166,7 +165,11 @@ class Fitting:
         actions[data.transitions] = torch.from_numpy(data.actions)
         model = self.worlds.source_domain.compile()
         left = start_from_matching(F, self.worlds.task, model, states, actions, data.first, self.feeding.garat_ridge)
-        log.info("F by trajectory matching: %s; left %.3g", F.affine.weight.detach().flatten().numpy().round(3).tolist(), left)
+        log.info(
+            "F by trajectory matching: %s; left %.3g",
+            F.affine.weight.detach().flatten().numpy().round(3).tolist(),
+            left,
+        )
 
     def policy(
         self,

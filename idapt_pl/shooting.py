@@ -108,7 +108,14 @@ class Matching:
 
 @torch.no_grad()
 def start_from_matching(
-    F, task: Task, model: mujoco.MjModel, states: Tensor, actions: Tensor, first: np.ndarray, ridge: float, length: int = 5
+    F,
+    task: Task,
+    model: mujoco.MjModel,
+    states: Tensor,
+    actions: Tensor,
+    first: np.ndarray,
+    ridge: float,
+    length: int = 5,
 ) -> float:
     """Set F's affine part by trajectory matching on estimated target states. Returns the robust remainder.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from idapt_pl.domains import Domain, View
+from idapt_pl.domains import WHOLE, Domain, View
 from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
@@ -22,7 +22,7 @@ class Worlds:
     ledger: Ledger
     image_size: int
     frame_stack: int
-    view: View = View()
+    view: View = WHOLE
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""

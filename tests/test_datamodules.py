@@ -13,7 +13,7 @@ from datamodules import (
     UnpairedImages,
     write_trajectories,
 )
-from datamodules.on_policy import encode_transitions
+from datamodules.on_policy import encode_transitions, target_transitions
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules.training import ManualModule
@@ -233,10 +233,8 @@ def test_each_garat_rollout_is_collected_with_the_weights_of_its_batch(trainer, 
         count.append(len(count) + 1)
         return {"k": torch.tensor([count[-1]])}
 
-    def encode(stacks):
-        return torch.zeros(len(stacks), 1)
-
-    data = OnPolicyDataModule(collect, [file("t.h5", state=False)], encode, frame_stack=2, rollouts=4)
+    target = target_transitions([file("t.h5", state=False)], lambda stacks: torch.zeros(len(stacks), 1), frame_stack=2)
+    data = OnPolicyDataModule(collect, target, rollouts=4)
     witness = Witness(lambda batch: (len(count), batch["agent"]["k"].item(), len(batch["target"]["actions"])))
     trainer(4).fit(witness, datamodule=data)
     assert witness.notes == [(k, k, sum(LENGTHS)) for k in range(1, 5)]

@@ -10,15 +10,40 @@ import yaml
 from idapt_pl.domains import EFFECTS, Domain, effect_from_dict
 from idapt_pl.domains.effects import (
     ActuatorGain,
+    ActuatorKp,
+    ActuatorKv,
+    BodyCom,
+    BodyInertia,
     BodyMass,
     ContactFriction,
+    ContactSoftness,
+    FluidDrag,
     GravityDirection,
     JointArmature,
     JointDamping,
+    JointDrag,
     JointFrictionloss,
+    JointSpringref,
+    JointStiffness,
     Numerics,
+    Payload,
 )
 from idapt_pl.domains.looks import CameraPose, Color, Light, Texture, orbit_axes
+from idapt_pl.domains.paths import (
+    ActuatorBias,
+    ActuatorDeadzone,
+    ActuatorDelay,
+    ActuatorLag,
+    ActuatorSaturation,
+    ExternalForce,
+    ForceEffect,
+    JointCogging,
+    JointStribeck,
+    SensingEffect,
+    SensorBias,
+    SensorDelay,
+    SensorGain,
+)
 
 MODEL = """
 <mujoco>
@@ -49,6 +74,27 @@ EXAMPLES = [
     ContactFriction("floor", 0.1),
     GravityDirection("world", tilt_x=0.1, tilt_y=-0.2),
     Numerics("world", timestep=0.001, integrator="implicitfast"),
+    ActuatorKp("hold", 0.7),
+    ActuatorKv("push", 0.3),
+    BodyCom("link", x=0.01, z=-0.02),
+    BodyInertia("link", mass=1.1, rotation=1.2, x=0.01),
+    ContactSoftness("*", 0.05),
+    FluidDrag("world", density=1.2, viscosity=0.1),
+    JointDrag("hinge", 0.4),
+    JointSpringref("hinge", 0.2),
+    JointStiffness("slide", 3.0),
+    Payload("link", 0.5, z=0.4),
+    ActuatorBias("push", 0.1),
+    ActuatorDelay("push", 0.005),
+    ActuatorLag("push", 0.03),
+    ActuatorSaturation("push", 0.5),
+    ActuatorDeadzone("push", 0.05),
+    ExternalForce("block", x=1.0),
+    JointCogging("hinge", 0.1),
+    JointStribeck("slide", 0.1, 0.2),
+    SensorBias("hinge", 0.1),
+    SensorDelay("*", 0.02),
+    SensorGain("hinge", 1.1),
     CameraPose("view", azimuth=90, elevation=-45, distance=2, lookat=(0, 0, 1), fovy=30),
     Light("headlight", diffuse=(0.1, 0.2, 0.3), ambient=(0, 0, 0.5)),
     Color("box", (0.1, 0.2, 0.3, 1)),
@@ -87,9 +133,12 @@ def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nomin
     assert changed(once, again) == set()
     headlight = {k: getattr(once.vis.headlight, k).tolist() for k in ("diffuse", "ambient")}
     nominal_headlight = {k: getattr(nominal.vis.headlight, k).tolist() for k in ("diffuse", "ambient")}
-    options = (once.opt.timestep, once.opt.integrator, *once.opt.gravity)
-    same_options = options == (nominal.opt.timestep, nominal.opt.integrator, *nominal.opt.gravity)
-    assert changed(nominal, once) or headlight != nominal_headlight or not same_options
+    names = ("timestep", "integrator", "density", "viscosity")
+    same_options = all(getattr(once.opt, n) == getattr(nominal.opt, n) for n in names)
+    same_options &= once.opt.gravity.tolist() == nominal.opt.gravity.tolist()
+    differs = bool(changed(nominal, once)) or headlight != nominal_headlight or not same_options
+    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | SensorDelay)
+    assert differs != beyond_mjcf, "an effect edits the MJCF, or is one that MJCF has no words for"
 
 
 DERIVED = {

@@ -207,12 +207,10 @@ class LineData(OnPolicyDataModule):
             return 2 * torch.rand(len(features), 1, generator=generator) - 1
 
         roll = garat_rollout(Line(16), policy, F, 16, seed=0)
-        super().__init__(roll, [], F.encode, 1, rollouts)
         x, a = torch.rand(2000, 1) * 4 - 2, torch.rand(2000, 1) * 2 - 1
-        self.target_transitions = {"features": x, "actions": a, "next_features": x + effect * a + drift}
-
-    def setup(self, stage):
-        pass
+        target = {"features": x, "actions": a, "next_features": x + effect * a + drift}
+        F.standardise(target)
+        super().__init__(roll, target, rollouts)
 
 
 def action_transformation(**overrides):

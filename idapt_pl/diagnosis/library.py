@@ -129,11 +129,15 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
     hinges = [j for j in range(model.njnt) if model.jnt_type[j] >= 2]
     rows: list[tuple[type[Effect], str, Callable[[int], float], Callable[[int], float]]] = [
         (physics.JointDamping, "damping", lambda v: model.dof_damping[v], lambda v: a.inertia[v] / a.horizon),
-        (physics.JointFrictionloss, "frictionloss", lambda v: model.dof_frictionloss[v],
-         lambda v: a.inertia[v] * a.speed[v] / a.horizon),
+        (
+            physics.JointFrictionloss,
+            "frictionloss",
+            lambda v: model.dof_frictionloss[v],
+            lambda v: a.inertia[v] * a.speed[v] / a.horizon,
+        ),
         (physics.JointArmature, "armature", lambda v: model.dof_armature[v], lambda v: a.inertia[v]),
         (physics.JointDrag, "drag", lambda v: 0.0, lambda v: a.inertia[v] / a.horizon / a.speed[v]),
-    ]  # fmt: skip
+    ]
     found = []
     for kind, parameter, nominal, scale in rows:
         singles = []
@@ -168,7 +172,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 starts=tuple(
                     (c * torque, s * torque, f * a.speed[v]) for c, s in ((0.1, 0.2), (0.3, 1.0)) for f in (0.05, 0.3)
                 ),
-            )  # fmt: skip
+            )
         )
         if model.jnt_type[j] == 3 and a.motion[v] > 0.2:
             for periods in (2, 4, 6, 8, 12):
@@ -180,7 +184,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                         (0.0, 0.0),
                         (torque, torque),
                         fixed=(("periods", float(periods)),),
-                    )  # fmt: skip
+                    )
                 )
     return found + springs + _shared(springs) + rests
 
@@ -199,7 +203,7 @@ def _bodies(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 (mass,),
                 (mass,),
                 starts=tuple((mass * f,) for f in (0.3, 2.0, 5.0, 15.0, 40.0)),
-            )  # fmt: skip
+            )
         )
         reach = 0.3 * float(np.sqrt(model.body(b).inertia.max() / mass)) + 1e-3
         found.append(Candidate(physics.BodyCom, name, ("x", "y", "z"), (0.0,) * 3, (reach,) * 3))
@@ -211,7 +215,7 @@ def _bodies(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 (0.0,) * 4,
                 (mass, *(3 * reach,) * 3),
                 starts=((0.2 * mass, 0.0, 0.0, 0.0), (0.2 * mass, 3 * reach, 0.0, 3 * reach)),
-            )  # fmt: skip
+            )
         )
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and model.body(b).name and moves(model, b)]
     weight = float(np.median(a.inertia)) * float(np.median(a.speed)) / a.horizon + 0.05 * float(model.body_mass.sum())
@@ -234,16 +238,33 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
     limits = np.abs(
         np.concatenate([[0.0], model.actuator_ctrlrange[model.actuator_ctrllimited.astype(bool)].ravel()])
     ).max()
+    widest = float(limits or 3 * a.command.max(initial=1.0))
     rows = [
         (physics.ActuatorGain, "gain", 1.0, lambda i: 0.3, lambda i: ((0.5,), (2.0,))),
         (paths.ActuatorBias, "bias", 0.0, lambda i: 0.5 * a.command[i], lambda i: ()),
-        (paths.ActuatorDeadzone, "width", 0.0, lambda i: 0.3 * a.command[i],
-         lambda i: tuple((f * a.command[i],) for f in (0.2, 0.6))),
+        (
+            paths.ActuatorDeadzone,
+            "width",
+            0.0,
+            lambda i: 0.3 * a.command[i],
+            lambda i: tuple((f * a.command[i],) for f in (0.2, 0.6)),
+        ),
         (paths.ActuatorDelay, "delay", 0.0, lambda i: a.dt, lambda i: tuple((f * a.dt,) for f in (0.5, 1.0, 2.0, 4.0))),
-        (paths.ActuatorLag, "time_constant", 0.0, lambda i: a.dt, lambda i: tuple((f * a.dt,) for f in (0.3, 1.0, 3.0))),
-        (paths.ActuatorSaturation, "limit", float(limits or 3 * a.command.max(initial=1.0)), lambda i: 0.5 * a.command[i],
-         lambda i: tuple((f * a.command[i],) for f in (0.5, 1.0, 1.4))),
-    ]  # fmt: skip
+        (
+            paths.ActuatorLag,
+            "time_constant",
+            0.0,
+            lambda i: a.dt,
+            lambda i: tuple((f * a.dt,) for f in (0.3, 1.0, 3.0)),
+        ),
+        (
+            paths.ActuatorSaturation,
+            "limit",
+            widest,
+            lambda i: 0.5 * a.command[i],
+            lambda i: tuple((f * a.command[i],) for f in (0.5, 1.0, 1.4)),
+        ),
+    ]
     for kind, parameter, nominal, scale, starts in rows:
         singles = [
             Candidate(kind, model.actuator(i).name, (parameter,), (nominal,), (float(scale(i)),), starts=starts(i))
@@ -257,7 +278,9 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
 def _servos(model: mujoco.MjModel) -> list[Candidate]:
     servos = [i for i in range(model.nu) if model.actuator_biasprm[i, 1] and model.actuator(i).name]
     stiff = [
-        Candidate(physics.ActuatorKp, model.actuator(i).name, ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,)))
+        Candidate(
+            physics.ActuatorKp, model.actuator(i).name, ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,))
+        )
         for i in servos
     ]
     return stiff + _shared(stiff)
@@ -270,9 +293,15 @@ def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
     slide = float(max(model.geom_friction[g, 0] for g in touching))
     soft = float(model.geom_solref[touching[0], 0])
     found = [
-        Candidate(physics.ContactFriction, "*", ("sliding",), (slide,), (0.3 * slide + 0.05,),
-                  starts=((0.3 * slide,), (0.6 * slide,), (1.7 * slide,))),
-    ]  # fmt: skip
+        Candidate(
+            physics.ContactFriction,
+            "*",
+            ("sliding",),
+            (slide,),
+            (0.3 * slide + 0.05,),
+            starts=((0.3 * slide,), (0.6 * slide,), (1.7 * slide,)),
+        ),
+    ]
     if soft > 0:
         found.append(
             Candidate(
@@ -288,8 +317,16 @@ def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
     for g in touching:
         if model.geom(g).name and len(set(frictions)) > 1:
             own = float(model.geom_friction[g, 0])
-            found.append(Candidate(physics.ContactFriction, model.geom(g).name, ("sliding",), (own,), (0.3 * own + 0.05,),
-                                   starts=((0.4 * own,), (2.0 * own,))))  # fmt: skip
+            found.append(
+                Candidate(
+                    physics.ContactFriction,
+                    model.geom(g).name,
+                    ("sliding",),
+                    (own,),
+                    (0.3 * own + 0.05,),
+                    starts=((0.4 * own,), (2.0 * own,)),
+                )
+            )
     return found
 
 

@@ -376,7 +376,8 @@ class Search:
                 f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
             )
         if t.gain < s.removable_gain * max(level - 1.0, 0.0):
-            return f"it removes {100 * t.gain / (level - 1):.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"
+            above = 100 * t.gain / (level - 1)
+            return f"it removes {above:.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"
         if t.round and t.gain < max(0.05 * level, 0.08):
             return f"as a further effect it removes {100 * t.gain / level:.1f} % of the held-out error, less than 5 %"
         if np.median(now) < 1.15 and t.gain < 0.15 * level:
@@ -397,7 +398,9 @@ class Search:
                 t.rejected_because = (
                     f"{best.candidate.label} leaves less ({best.held_out:.3g} against {t.held_out:.3g})"
                 )
-        alike = [t for t in close if t is not best and abs(t.held_out - best.held_out) <= self.indistinguishable(best, t)]
+        alike = [
+            t for t in close if t is not best and abs(t.held_out - best.held_out) <= self.indistinguishable(best, t)
+        ]
         found = Found(best.candidate, best.x[-1], equivalent=alike)
         for t in found.equivalent:
             t.rejected_because = f"as good as {best.candidate.label}: these data cannot tell them apart"
@@ -409,7 +412,7 @@ class Search:
         return found
 
     def handicap(self, t: Tried) -> float:
-        """Blaming the sensors moves measurements and predictions alike, and so imitates much: it must be clearly better."""
+        """Blaming sensors moves measurement and prediction alike, which imitates much: it must be clearly better."""
         return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect) else 0.0
 
     def indistinguishable(self, a: Tried, b: Tried) -> float:
@@ -479,9 +482,7 @@ class Search:
             for t in f.rivals:
                 candidates = [*(g.candidate for g in rest), t.candidate]
                 start = [*(g.x for g in rest), t.x[-1]]
-                fit = gauss_newton(
-                    self.sim, self.state.fixed, candidates, start, self.fit.windows, self.fit.W, 4
-                )
+                fit = gauss_newton(self.sim, self.state.fixed, candidates, start, self.fit.windows, self.fit.W, 4)
                 after = window_loss(self.held_out.z(self.sim, (*self.state.fixed, *effects_of(candidates, fit.x))))
                 gain, error = paired_gain(now, after, self.held_out.windows.episode)
                 if after.mean() + self.handicap(t) < best_loss and gain > max(error, 0.03 * float(now.mean())):
@@ -548,7 +549,7 @@ class Search:
 
 
 def shortlist(ranked: list[Tried], size: int) -> list[Tried]:
-    """The best ``size``, and the best of every kind of effect that scores a tenth of the best: scores are only linear."""
+    """The best ``size``, and the best of every other kind that scores a tenth of it: scores are only linear."""
     chosen = ranked[:size]
     kinds = {t.candidate.kind for t in chosen}
     for t in ranked[size:]:

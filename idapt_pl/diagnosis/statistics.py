@@ -58,10 +58,8 @@ def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray) -> Nois
     spread = np.square(1.4826 * np.median(np.abs(residual), 0)) + 1e-30  # (j, channels)
     through = np.median(np.square(S0), 0)  # (j, channels, 2 nv)
     own = np.broadcast_to(np.eye(channels), (len(spread), channels, channels))
-    if sim.velocities:  # the first state is measured by the same sensors
-        A = own + through
-    else:
-        A = np.concatenate([own + through[..., :nv], through[..., nv:]], -1)
+    # measured velocities: the first state comes from the same sensors; else its velocity has a noise of its own
+    A = own + through if sim.velocities else np.concatenate([own + through[..., :nv], through[..., nv:]], -1)
     A = (A / spread[..., None]).reshape(-1, A.shape[-1])
     variances, _ = nnls(A, np.ones(len(A)), maxiter=50 * A.shape[1])
     smooth = smoothness_noise(sim.model, sim.data, sim.velocities)

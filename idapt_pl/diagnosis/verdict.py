@@ -8,6 +8,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.statistics import window_loss
 from idapt_pl.domains.effects import Effect
+from idapt_pl.domains.paths import ActuatorDelay
 
 if TYPE_CHECKING:
     from idapt_pl.diagnosis.search import Found, Search, Tried
@@ -31,7 +32,7 @@ def judge(search: Search, tried: list[Tried]) -> dict:
         "schema": "idapt.diagnosis/1",
         "verdict": verdict,
         "error": {
-            "metric": f"root mean square of the whitened prediction error, Huber at 4 sigma, over windows of {search.steps} control steps",
+            "metric": f"rms of the whitened prediction error (Huber, 4 sigma), windows of {search.steps} control steps",
             "unit": "standard deviations of the measurement noise",
             "split": "held-out episodes",
             "fit_episodes": search.fit_episodes.tolist(),
@@ -182,8 +183,17 @@ def describe(f: Found, search: Search) -> dict:
                 "why": f"refitted, it leaves {np.sqrt(t.held_out):.3g} on held-out episodes: no clear difference",
             }
             for t in f.equivalent
-        ],
+        ]
+        + inseparable(f, search),
     }
+
+
+def inseparable(f: Found, search: Search) -> list[dict]:
+    """What is the same as an effect by construction, whatever the data."""
+    if f.candidate.kind is not ActuatorDelay or not (f.candidate.target == "*" or search.sim.model.nu == 1):
+        return []
+    why = "measurements that are late and commands that are late are the same once an episode is under way"
+    return [{"effect": "sensor_delay", "target": "*", "parameters": {"delay": float(f"{f.x[0]:.6g}")}, "why": why}]
 
 
 def numerical(effect, sim) -> dict:
@@ -277,13 +287,19 @@ def advice(search: Search, verdict: str) -> str:
     """What to record next."""
     confounded = [f for f in search.state.found if f.equivalent]
     if verdict == "insufficient_excitation":
-        return "Larger and more varied commands on every actuator (multisines over the range, steps, holds): these recordings barely move the joints."
+        return (
+            "Larger and more varied commands on every actuator (multisines over the range, steps, holds): "
+            "these recordings barely move the joints."
+        )
     if confounded:
         f = confounded[0]
         others = ", ".join(t.candidate.label for t in f.equivalent[:4])
         return f"To tell {f.candidate.label} from {others}: " + separating(search, f)
     if verdict == "unexplained_residual":
-        return "Repeat the same commands several times (what repeats is in the model, what does not is noise or time), and move one joint at a time at several speeds and loads."
+        return (
+            "Repeat the same commands several times (what repeats belongs in the model, the rest is noise or time), "
+            "and move one joint at a time at several speeds and loads."
+        )
     return ""
 
 
@@ -302,6 +318,6 @@ def separating(search: Search, f: Found) -> str:
     joint = search.sim.channels[int(np.argmax(speed))]
     commands = np.round(r.actions[s : s + w.offsets[-1]].mean(0), 3).tolist()
     return (
-        f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two predictions "
-        f"differ by {np.sqrt(np.square(a[k] - b[k]).mean()):.2g} sigma, and with larger amplitudes of that kind."
+        f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two "
+        f"predictions differ by {np.sqrt(np.square(a[k] - b[k]).mean()):.2g} sigma, with larger amplitudes."
     )

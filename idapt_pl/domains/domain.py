@@ -35,6 +35,10 @@ class View:
             camera.principal_length = [0, -self.up]
 
 
+WHOLE = View()
+"""The camera's whole image."""
+
+
 @dataclass(frozen=True)
 class Domain:
     """One world: a base model and what is different about it.
@@ -60,7 +64,7 @@ class Domain:
             effect.apply(spec)
         return spec
 
-    def compile(self, view: View = View()) -> mujoco.MjModel:
+    def compile(self, view: View = WHOLE) -> mujoco.MjModel:
         """The compiled model, with rendering sized for small images.
 
         MuJoCo sizes its shadow map for a screen; at 64 to 100 pixels it costs up to 100x the frame and
@@ -71,7 +75,7 @@ class Domain:
             view: the part of the camera's image that is wanted.
         """
         spec = self.spec()
-        if view != View():
+        if view != WHOLE:
             view.apply(spec)
         spec.visual.quality.shadowsize = 0
         spec.visual.quality.offsamples = 4

@@ -250,7 +250,7 @@ class BodyCom(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for body in explicit_inertial(spec, self.target):
-            body.ipos = np.asarray(body.ipos) + (self.x, self.y, self.z)
+            body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ class BodyInertia(Effect):
             body.mass *= self.mass
             body.inertia = np.asarray(body.inertia) * self.rotation
             body.fullinertia = np.asarray(body.fullinertia) * self.rotation
-            body.ipos = np.asarray(body.ipos) + (self.x, self.y, self.z)
+            body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
 
 
 @dataclass(frozen=True)

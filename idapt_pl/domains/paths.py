@@ -87,6 +87,26 @@ class ActuatorDelay(CommandEffect):
 
 
 @dataclass(frozen=True)
+class SensorDelay(CommandEffect):
+    """All measurements are late by the same time. Target is ``"*"``.
+
+    Once an episode is under way, this and a delay of all commands are one and the same: the measured motion answers
+    commands later by the delay. So it is simulated as the latter.
+    """
+
+    name: ClassVar[str] = "sensor_delay"
+    delay: float = parameter("s", 0.0, 10.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        every = list(range(command.values.shape[1]))
+        return ActuatorDelay("*", self.delay).transform(command, every, step)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.target != "*":
+            raise ValueError(f"sensor_delay: target must be '*' (all measurements), got {self.target!r}")
+
+
+@dataclass(frozen=True)
 class ActuatorLag(CommandEffect):
     """A first-order lag of the command (``dyntype="filterexact"``)."""
 
@@ -156,7 +176,7 @@ class ForceEffect(Effect):
 
 @dataclass(frozen=True)
 class JointStribeck(ForceEffect):
-    """Friction that falls with speed: (static - coulomb) exp(-(v/vs)²) + coulomb, against the motion (static >= coulomb)."""
+    """Friction that falls with speed: coulomb + (static - coulomb) exp(-(v/speed)²), against the motion."""
 
     name: ClassVar[str] = "joint_stribeck"
     coulomb: float = parameter("N·m or N", 0.0, 1e6)

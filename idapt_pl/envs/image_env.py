@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from idapt_pl.domains import Domain, View
+from idapt_pl.domains import WHOLE, Domain, View
 from idapt_pl.domains.rendering import FrameRenderer
 from idapt_pl.tasks import Task
 
@@ -29,7 +29,6 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         image_size: height and width of a frame, pixels.
         frame_stack: K.
         view: the part of the camera's image that is rendered.
-        blind: render nothing; observations hold the state alone.
     """
 
     def __init__(
@@ -39,14 +38,13 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         num_envs: int = 1,
         image_size: int = 64,
         frame_stack: int = 3,
-        view: View = View(),
-        blind: bool = False,
+        view: View = WHOLE,
     ):
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        self._render = None if blind else FrameRenderer(self.model, image_size)
+        self._render = FrameRenderer(self.model, image_size)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
@@ -54,10 +52,12 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = gymnasium.spaces.Box(low, high)
         state_dim = len(task.state(self.model, self.data[0]))
-        spaces = {"state": gymnasium.spaces.Box(-np.inf, np.inf, (state_dim,), np.float32)}
-        if not blind:
-            spaces["pixels"] = gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8)
-        self.single_observation_space = gymnasium.spaces.Dict(spaces)
+        self.single_observation_space = gymnasium.spaces.Dict(
+            {
+                "pixels": gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8),
+                "state": gymnasium.spaces.Box(-np.inf, np.inf, (state_dim,), np.float32),
+            }
+        )
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
 
@@ -70,7 +70,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         for i in range(self.num_envs):
-            self.reset_one(i)
+            self._reset_one(i)
         return self._observe(), {}
 
     def step(self, actions: np.ndarray):
@@ -81,9 +81,8 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
             data.ctrl[:] = actions[i]
             mujoco.mj_step(self.model, data, self.task.frame_skip)
             rewards[i], terminations[i] = self.task.outcome(self.model, data, actions[i])
-            if self._render is not None:
-                self._frames[i, :-1] = self._frames[i, 1:]
-                self._render(data, out=self._frames[i, -1])
+            self._frames[i, :-1] = self._frames[i, 1:]
+            self._render(data, out=self._frames[i, -1])
         self._elapsed += 1
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
@@ -91,7 +90,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         if done.any():
             infos = {"final_obs": self._observe(), "_final_obs": done}
             for i in np.flatnonzero(done):
-                self.reset_one(i)
+                self._reset_one(i)
         return self._observe(), rewards, terminations, truncations, infos
 
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
@@ -102,22 +101,15 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         return self._frames[i, -1].copy()
 
     def close_extras(self, **kwargs: Any) -> None:
-        if self._render is not None:
-            self._render.close()
+        self._render.close()
 
-    def reset_one(self, i: int) -> None:
-        """Start a new episode of simulation ``i``."""
+    def _reset_one(self, i: int) -> None:
         mujoco.mj_resetData(self.model, self.data[i])
         self.task.reset(self.model, self.data[i], self._rng)
         mujoco.mj_forward(self.model, self.data[i])
         self._elapsed[i] = 0
-        if self._render is not None:
-            self._frames[i] = self._render(self.data[i])
+        self._frames[i] = self._render(self.data[i])
 
     def _observe(self) -> dict[str, np.ndarray]:
-        seen = {} if self._render is None else {"pixels": self._frames.copy()}
-        return {**seen, "state": self.states()}
-
-    def states(self) -> np.ndarray:
-        """States of all simulations, float32 (n, state_dim)."""
-        return np.asarray([self.task.state(self.model, data) for data in self.data], np.float32)
+        states = [self.task.state(self.model, data) for data in self.data]
+        return {"pixels": self._frames.copy(), "state": np.asarray(states, np.float32)}

@@ -199,7 +199,9 @@ class AsymmetricSAC(ManualModule):
         with torch.no_grad():
             action, log_prob = self.actor(self.features(batch["next_observation"]))
             next_q = self.critic_target(batch["next_state"], action).amin(0)
-            rewards = batch["rewards"] - self.hparams.action_cost * self.actor.normalise(batch["actions"]).square().mean(-1)
+            rewards = batch["rewards"] - self.hparams.action_cost * self.actor.normalise(
+                batch["actions"]
+            ).square().mean(-1)
             target = sac_target(
                 rewards, batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
             )

@@ -137,24 +137,15 @@ class PixelStatePredictor(nn.Module):
 
     def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b s"]:
         """Standardised state of uncropped image stacks, -1..1."""
-        return self.combine(self.glimpse(images))
-
-    def glimpse(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b k shown"]:
-        """What is regressed from images: the shown components for each frame, or all from the stack (k = 1)."""
         images = center_crop(images, self.encoder.crop)
         if not self.rates:
-            return self.mlp(self.encoder(images)).float()[:, None]
+            return self.mlp(self.encoder(images)).float()
         frames = images.unflatten(1, (-1, 3))
-        return self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, frames.shape[1]))
-
-    def combine(self, glimpses: Float[Tensor, "b k shown"]) -> Float[Tensor, "b s"]:
-        """Standardised state from the glimpses of a stack, oldest first."""
-        if not self.rates:
-            return glimpses[:, -1]
-        k = glimpses.shape[1]
-        state = glimpses.new_zeros(len(glimpses), self.features)
-        state[:, self.shown] = glimpses[:, -1]
-        step = glimpses.diff(dim=1)  # (b, k-1, shown)
+        k = frames.shape[1]
+        shown = self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, k))  # (b, k, shown)
+        state = shown.new_zeros(len(images), self.features)
+        state[:, self.shown] = shown[:, -1]
+        step = shown.diff(dim=1)  # (b, k-1, shown)
         slope = 1.5 * step[:, -1] - 0.5 * step[:, -2] if k > 2 else step[:, -1]
         for rate, of in self.rates.items():
             per_second = slope[:, self.shown.index(of)] * self.std[of] / self.dt

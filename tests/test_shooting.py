@@ -1,0 +1,84 @@
+"""Trajectory matching: a planted action law is recovered, and the identity where nothing is planted."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from idapt_pl.modules import ActionTransformation
+from idapt_pl.shooting import start_from_matching, windows
+from idapt_pl.tasks import make_task
+
+
+class States(torch.nn.Module):
+    """An encoder whose features are standardised states."""
+
+    features = 4
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(4))
+        self.register_buffer("std", torch.tensor([0.1, 0.1, 0.5, 1.0]))
+
+    def encode(self, pixels):
+        raise AssertionError("matching sees no images")
+
+
+@pytest.fixture
+def F():
+    low, high = [-3.0], [3.0]
+    made = ActionTransformation(encoder=States(), action_low=low, action_high=high, hidden=(8,), smoothing=1.0)
+    made.feature_std.copy_(torch.ones(4))
+    return made
+
+
+def recorded(law, noise, seed=0):
+    """Episodes of the source moved by ``law(state, action)``: states, actions, index of each episode's first row."""
+    task = make_task("inverted_pendulum")
+    model = task.domain("source").compile()
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    states, actions, first = [], [], []
+    for _ in range(40):
+        mujoco.mj_resetData(model, data)
+        task.reset(model, data, rng)
+        begin = len(states)
+        for _ in range(12):
+            a = rng.uniform(-3, 3, 1)
+            s = task.state(model, data)
+            states.append(s + noise * rng.normal(size=4)), actions.append(a), first.append(begin)
+            data.ctrl[:] = law(s, a)
+            mujoco.mj_step(model, data, task.frame_skip)
+    tensors = (torch.tensor(np.array(x), dtype=torch.float32) for x in (states, actions))
+    return (task, model, *tensors, np.array(first))
+
+
+def transformed(F, state, action):
+    """F's action at a state."""
+    x = F.agent_input((torch.tensor([state]) - F.encoder.mean) / F.encoder.std, torch.tensor([[action]]))
+    with torch.no_grad():
+        return float(F.apply_residual(torch.tensor([[action]]), F.residual(x).mean))
+
+
+def test_a_planted_law_is_recovered(F):
+    left = start_from_matching(F, *recorded(lambda s, a: 0.3 * a - 2.0 * s[1], 3e-4), ridge=1.0)
+    assert left < 2e-3
+    for theta, a in ((0.0, 2.0), (0.1, 0.0), (-0.1, -2.0)):
+        assert transformed(F, [0.0, theta, 0.0, 0.0], a) == pytest.approx(0.3 * a - 2.0 * theta, abs=0.05)
+
+
+def test_the_identity_is_recovered_where_nothing_is_planted(F):
+    start_from_matching(F, *recorded(lambda s, a: a, 3e-4), ridge=1.0)
+    for theta, a in ((0.0, 2.0), (0.1, 0.0), (-0.1, -2.0)):
+        assert transformed(F, [0.0, theta, 0.0, 0.0], a) == pytest.approx(a, abs=0.05)
+
+
+def test_windows_do_not_cross_an_episodes_end():
+    first = np.array([0, 0, 0, 0, 4, 4, 4, 4, 4])
+    seen = windows(np.arange(9.0)[:, None], np.arange(9.0)[:, None], first, length=3, stride=1)
+    assert seen.qpos[:, 0, 0].tolist() == [0, 4, 5]
+    assert seen.actions[1, :, 0].tolist() == [4, 5, 6]
+
+
+def test_too_short_episodes_are_refused():
+    with pytest.raises(ValueError, match="no episode in the target lasts 5 control steps"):
+        windows(np.zeros((6, 1)), np.zeros((6, 1)), np.array([0, 0, 0, 3, 3, 3]), 5, 1)
