@@ -350,6 +350,8 @@ def _world(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
         ),
     ]
     if np.linalg.norm(model.opt.gravity) > 0 and abs(model.opt.gravity[2]) > 0.99 * np.linalg.norm(model.opt.gravity):
+        for one, other in (("tilt_x", "tilt_y"), ("tilt_y", "tilt_x")):  # a planar machine feels one of them alone
+            found.append(Candidate(physics.GravityDirection, "world", (one,), (0.0,), (0.1,), fixed=((other, 0.0),)))
         found.append(Candidate(physics.GravityDirection, "world", ("tilt_x", "tilt_y"), (0.0, 0.0), (0.1, 0.1)))
     return found
 

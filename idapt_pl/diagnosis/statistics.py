@@ -55,6 +55,7 @@ def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray) -> Nois
     model is wrong this is too large, so it is made again after each effect that is added.
     """
     nv, channels = sim.model.nv, residual.shape[-1]
+    residual, S0 = residual[:, :2], S0[:, :2]  # the earliest samples: less of the model, more of the sensors
     spread = np.square(1.4826 * np.median(np.abs(residual), 0)) + 1e-30  # (j, channels)
     through = np.median(np.square(S0), 0)  # (j, channels, 2 nv)
     own = np.broadcast_to(np.eye(channels), (len(spread), channels, channels))
@@ -65,7 +66,7 @@ def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray) -> Nois
     smooth = smoothness_noise(sim.model, sim.data, sim.velocities)
     limit = np.concatenate(smooth)
     limit = np.concatenate([limit, np.full(len(variances) - channels, np.inf)])
-    low = 0.1 * np.where(np.isfinite(limit), limit, 0.0) + 1e-9
+    low = 0.01 * np.where(np.isfinite(limit), limit, 0.0) + 1e-9
     sigma = np.clip(np.sqrt(variances), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)

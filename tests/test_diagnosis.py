@@ -1,0 +1,201 @@
+"""Diagnosis: what was planted is found, nothing where nothing is, and what no effect explains is called that."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from datamodules import Episode, Trajectories
+from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis.data import UnusableData, cut, recordings
+from idapt_pl.diagnosis.search import split_episodes
+from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.statistics import estimate_noise, initial_sensitivity, whiten, whitener
+from idapt_pl.domains.effects import JointDamping
+from idapt_pl.domains.paths import ActuatorDelay
+
+ARM = """
+<mujoco>
+  <option timestep="0.004" integrator="implicitfast"/>
+  <worldbody>
+    <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.05"/>
+      <geom name="u" type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="0.6" contype="0" conaffinity="0"/>
+      <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0" damping="0.02"/>
+        <geom name="l" type="capsule" size="0.02" fromto="0 0 0 0 0 -0.2" mass="0.4" contype="0" conaffinity="0"/>
+      </body></body>
+  </worldbody>
+  <actuator><motor name="s" joint="shoulder"/><motor name="e" joint="elbow"/></actuator>
+</mujoco>"""
+NOISE_Q, NOISE_V, DT, SKIP = 1e-3, 1e-2, 0.02, 5
+
+
+def record(xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0):
+    """Recordings of an arm: commands late by whole physics steps, ``push(time)`` a torque on the shoulder."""
+    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
+    made = []
+    for _ in range(episodes):
+        data = mujoco.MjData(model)
+        data.qpos[:], queue = rng.normal(size=model.nq) * 0.3, [np.zeros(model.nu)] * delay
+        actions = size * np.repeat(rng.normal(size=(steps // 4, model.nu)), 4, 0).clip(-1, 1)
+        q, v = [data.qpos.copy()], [data.qvel.copy()]
+        for a in actions:
+            for _ in range(SKIP):
+                queue.append(a)
+                data.ctrl[:] = queue.pop(0)
+                data.qfrc_applied[0] = push(data.time) if push else 0.0
+                mujoco.mj_step(model, data)
+            q.append(data.qpos.copy()), v.append(data.qvel.copy())
+        seen = {"qpos": np.array(q) + NOISE_Q * rng.normal(size=(steps + 1, model.nq))}
+        if velocities:
+            seen["qvel"] = np.array(v) + NOISE_V * rng.normal(size=(steps + 1, model.nv))
+        made.append(Episode(actions.astype(np.float32), seen))
+    return Trajectories(tuple(made), DT)
+
+
+def found(data, **settings):
+    diagnosis = diagnose(mujoco.MjSpec.from_string(ARM), data, **settings)
+    return diagnosis, {(e["effect"], e["target"]): e for e in diagnosis.report["effects"]}
+
+
+def test_nothing_is_found_where_nothing_is_missing():
+    diagnosis, effects = found(record())
+    assert (diagnosis.verdict, effects) == ("no_missing_effect", {})
+    assert diagnosis.report["error"]["before"] == pytest.approx(1.0, abs=0.15), "a right model leaves the noise"
+
+
+@pytest.mark.parametrize(
+    ("edit", "label", "parameter", "truth"),
+    [
+        (('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.06"'),
+         ("joint_damping", "elbow"), "damping", 0.06),
+        (('<motor name="s" joint="shoulder"', '<motor name="s" gear="0.8" joint="shoulder"'),
+         ("actuator_gain", "s"), "gain", 0.8),
+        (('name="shoulder" axis="0 1 0"', 'name="shoulder" frictionloss="0.08" axis="0 1 0"'),
+         ("joint_frictionloss", "shoulder"), "frictionloss", 0.08),
+    ],
+    ids=["damping", "gain", "frictionloss"],
+)  # fmt: skip
+def test_a_hidden_change_of_the_model_is_named_and_measured(edit, label, parameter, truth):
+    assert edit[0] in ARM
+    diagnosis, effects = found(record(ARM.replace(*edit)))
+    assert (diagnosis.verdict, set(effects)) == ("effects_found", {label})
+    value = effects[label]["parameters"][parameter]
+    assert value["estimate"] == pytest.approx(truth, rel=0.05)
+    assert value["ci95"][0] < value["estimate"] < value["ci95"][1]
+    error = diagnosis.report["error"]
+    assert error["after"] < 1.2 < error["before"]
+
+
+def test_a_delay_is_named_and_its_twin_is_listed():
+    diagnosis, effects = found(record(delay=4))
+    assert set(effects) == {("actuator_delay", "*")}
+    delay = effects["actuator_delay", "*"]
+    assert delay["parameters"]["delay"]["estimate"] == pytest.approx(0.016, abs=0.003)
+    assert "sensor_delay" in {e["effect"] for e in delay["equivalent"]}
+
+
+def test_an_effect_outside_the_library_is_left_unexplained():
+    diagnosis, _ = found(record(push=lambda t: 0.8 * np.sin(2 * np.pi * 1.7 * t)))
+    assert diagnosis.verdict == "unexplained_residual"
+    assert "shoulder" in diagnosis.report["signature"] or "elbow" in diagnosis.report["signature"]
+
+
+def test_positions_alone_are_enough_for_a_large_effect():
+    edit = ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.1"')
+    _, effects = found(record(edit, velocities=False), candidates=["joint_damping", "joint_armature", "actuator_gain"])
+    assert ("joint_damping", "elbow") in effects
+
+
+def test_declared_effects_are_not_found_again():
+    edit = ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.06"')
+    diagnosis, effects = found(record(edit), declared=[JointDamping("elbow", 0.06)])
+    assert (diagnosis.verdict, effects) == ("no_missing_effect", {})
+
+
+def test_the_same_data_and_seed_give_the_same_report():
+    data = record(ARM.replace('damping="0.02"', 'damping="0.06"'))
+    reports = [found(data, candidates=["joint_damping", "body_mass"])[0].report for _ in range(2)]
+    for r in reports:
+        r.pop("runtime_s")
+    assert reports[0] == reports[1]
+
+
+# --- laws ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def right():
+    """A simulator with the right model, its windows, residuals and sensitivities."""
+    spec, trajectories = mujoco.MjSpec.from_string(ARM), record(episodes=12)
+    data, velocities = recordings(spec.copy().compile(), trajectories)
+    sim = Simulator(spec, data, velocities)
+    windows = cut(data, np.arange(12), 5, 5, 1000, 0)
+    residual = sim.residual((), windows)
+    return sim, windows, residual, initial_sensitivity(sim, (), windows, residual)
+
+
+def test_noise_is_estimated(right):
+    sim, _, residual, S0 = right
+    np.testing.assert_allclose(estimate_noise(sim, residual, S0).sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
+
+
+def test_residuals_of_the_right_model_are_white_after_whitening(right):
+    sim, _, residual, S0 = right
+    z = whiten(whitener(S0, estimate_noise(sim, residual, S0)), residual)
+    assert np.square(z).mean() == pytest.approx(1.0, abs=0.1)
+    correlation = np.corrcoef(z.T) - np.eye(z.shape[1])
+    assert np.abs(correlation).max() < 5 / np.sqrt(len(z))
+
+
+def test_without_noise_the_right_model_predicts_the_recording(right):
+    """Controls are held as they were: a prediction from exact states is exact."""
+    global NOISE_Q, NOISE_V
+    kept, (NOISE_Q, NOISE_V) = (NOISE_Q, NOISE_V), (0.0, 0.0)
+    try:
+        trajectories = record(episodes=2)
+    finally:
+        NOISE_Q, NOISE_V = kept
+    spec = mujoco.MjSpec.from_string(ARM)
+    data, velocities = recordings(spec.copy().compile(), trajectories)
+    sim = Simulator(spec, data, velocities)
+    windows = cut(data, np.arange(2), 5, 5, 1000, 0)
+    assert np.abs(sim.residual((), windows)).max() < 1e-5  # actions are float32
+    late = sim.residual((ActuatorDelay("*", 0.01),), windows)
+    assert np.abs(late).max() > 1e-3
+
+
+def test_windows_stay_inside_episodes_and_do_not_overlap(right):
+    sim, windows, *_ = right
+    for e in np.unique(windows.episode):
+        starts = np.sort(windows.start[windows.episode == e])
+        assert starts[-1] + windows.offsets[-1] <= len(sim.data[e])
+        assert (np.diff(starts) >= windows.offsets[-1]).all()
+
+
+def test_split_holds_every_fourth_episode_out_and_never_shares():
+    fit, held = split_episodes(9, None, None)
+    assert len(held) >= 2 and sorted([*fit, *held]) == list(range(9))
+    assert split_episodes(4, None, [1])[0].tolist() == [0, 2, 3]
+    with pytest.raises(ValueError, match="both to be fitted and held out"):
+        split_episodes(4, [0, 1], [1])
+    with pytest.raises(ValueError, match="no episode 7"):
+        split_episodes(4, [7], None)
+    with pytest.raises(ValueError, match="at least two are needed"):
+        split_episodes(1, None, None)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda q, a: (q[:, :1], a), r"episode_0: qpos has shape \(81, 1\), but the model has 2"),
+        (lambda q, a: (np.where(np.arange(81)[:, None] == 7, np.nan, q), a), "qpos holds NaN .* first in row 7"),
+        (lambda q, a: (q, a[:, :1]), r"actions has shape \(80, 1\), but the model has 2 actuators"),
+    ],
+    ids=["shape", "nan", "actions"],
+)
+def test_unusable_recordings_are_refused_by_name(spoil, message):
+    good = record(episodes=2)
+    e = good.episodes[0]
+    qpos, actions = spoil(e.observations["qpos"], e.actions)
+    bad = Episode(actions, {"qpos": qpos, "qvel": e.observations["qvel"]})
+    with pytest.raises(UnusableData, match=message):
+        diagnose(mujoco.MjSpec.from_string(ARM), Trajectories((bad, *good.episodes[1:]), DT))
