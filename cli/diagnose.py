@@ -61,6 +61,7 @@ def main(args: list[str]) -> int:
     p.add_argument("--candidates", nargs="+", metavar="EFFECT", help="consider these effects alone (default: all)")
     p.add_argument("--max-effects", type=int, default=Settings.max_effects, metavar="N", help="stop after so many")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
+    p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
     o = p.parse_args(args)
     if o.max_effects < 1:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
@@ -73,7 +74,7 @@ def main(args: list[str]) -> int:
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(Settings(), max_effects=o.max_effects), progress,
+                replace(Settings(), max_effects=o.max_effects), progress, o.threads,
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None

@@ -86,7 +86,7 @@ def test_a_hidden_change_of_the_model_is_named_and_measured(edit, label, paramet
 
 
 def test_a_delay_is_named_and_its_twin_is_listed():
-    diagnosis, effects = found(record(delay=4))
+    _, effects = found(record(delay=4))
     assert set(effects) == {("actuator_delay", "*")}
     delay = effects["actuator_delay", "*"]
     assert delay["parameters"]["delay"]["estimate"] == pytest.approx(0.016, abs=0.003)

@@ -235,7 +235,7 @@ class Search:
         per_window = (time.perf_counter() - started) / max(len(windows), 1)
         simulations = sum(c.size + len(c.starts) for c in self.candidates)
         budget = self.settings.seconds / 6 / max(simulations, 1)  # a screening takes a sixth of the time
-        return float(np.clip(budget / per_window / self.settings.screen_windows, 0.3, 1.0))
+        return float(np.clip(budget / per_window / self.settings.screen_windows, 0.2, 1.0))
 
     def cut(self, episodes: np.ndarray, limit: int, salt: int) -> Windows:
         windows = cut(self.sim.data, episodes, self.steps, 5, max(30, int(limit * self.limit)), self.seed + salt)
@@ -404,7 +404,7 @@ class Search:
         found = Found(best.candidate, best.x[-1], equivalent=alike)
         for t in found.equivalent:
             t.rejected_because = f"as good as {best.candidate.label}: these data cannot tell them apart"
-        found.rivals = sorted((t for t in confirmed if t.x and t is not best), key=lambda t: t.held_out)[:5]
+        found.rivals = sorted((t for t in confirmed if t.x and t is not best), key=lambda t: t.held_out)[:3]
         for f, x in zip(self.state.found, best.x[:-1], strict=True):
             f.x = x
         self.state.found.append(found)
