@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
-from datamodules.on_policy import Rollout, encode_all, target_transitions
+from datamodules.on_policy import encode_all, target_transitions
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
@@ -129,12 +129,9 @@ class Fitting:
 
         def build() -> ActionTransformation:
             module = self.make.dynamics(encoder=copy.deepcopy(policy.actor.encoder), **self.worlds.action_bounds)
-            module.standardise(transitions(module))
             if initial is not None:  # F continues, on the newest features
                 kept = {k: v for k, v in initial.state_dict().items() if not k.startswith("encoder.")}
                 module.load_state_dict(kept, strict=False)
-            elif self.feeding.garat_start == "matching":
-                self.match(module, target)
             return module
 
         def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
@@ -149,15 +146,22 @@ class Fitting:
                 explore(seed, n),
                 round(self.feeding.garat_exploring * n),
             )
-            return OnPolicyDataModule(roll, transitions(F), rollouts)
-
-        def transitions(F: ActionTransformation) -> Rollout:
-            return target_transitions(target, F.encode, self.worlds.frame_stack)
+            transitions = target_transitions(target, F.encode, self.worlds.frame_stack)
+            if initial is None and self.feeding.garat_start == "matching":
+                F.standardise(transitions)
+                self.match(F.cpu(), target)
+                F.to(device)
+            return OnPolicyDataModule(roll, transitions, rollouts)
 
         return self.stages.fit(step, "dynamics", build, feed, rollouts)
 
     def match(self, F: ActionTransformation, target: Sequence[Path]) -> None:
         """Give F a start by trajectory matching."""
+        if not isinstance(F.encoder, PixelStatePredictor):
+            raise ValueError(
+                "feeding.garat_start: matching needs features that are states, i.e. policy.encoder: supervised; "
+                "with a learned encoder use garat_start: identity"
+            )
         data = FrameStacks(read_all(target), self.worlds.frame_stack)
         f = F.encoder
         states = (encode_all(data, F.encode) * f.std + f.mean).detach()

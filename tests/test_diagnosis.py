@@ -28,7 +28,9 @@ ARM = """
 NOISE_Q, NOISE_V, DT, SKIP = 1e-3, 1e-2, 0.02, 5
 
 
-def record(xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0):
+def record(
+    xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0, noise=(NOISE_Q, NOISE_V)
+):
     """Recordings of an arm: commands late by whole physics steps, ``push(time)`` a torque on the shoulder."""
     model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
     made = []
@@ -44,9 +46,9 @@ def record(xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velociti
                 data.qfrc_applied[0] = push(data.time) if push else 0.0
                 mujoco.mj_step(model, data)
             q.append(data.qpos.copy()), v.append(data.qvel.copy())
-        seen = {"qpos": np.array(q) + NOISE_Q * rng.normal(size=(steps + 1, model.nq))}
+        seen = {"qpos": np.array(q) + noise[0] * rng.normal(size=(steps + 1, model.nq))}
         if velocities:
-            seen["qvel"] = np.array(v) + NOISE_V * rng.normal(size=(steps + 1, model.nv))
+            seen["qvel"] = np.array(v) + noise[1] * rng.normal(size=(steps + 1, model.nv))
         made.append(Episode(actions.astype(np.float32), seen))
     return Trajectories(tuple(made), DT)
 
@@ -146,14 +148,9 @@ def test_residuals_of_the_right_model_are_white_after_whitening(right):
     assert np.abs(correlation).max() < 5 / np.sqrt(len(z))
 
 
-def test_without_noise_the_right_model_predicts_the_recording(right):
+def test_without_noise_the_right_model_predicts_the_recording():
     """Controls are held as they were: a prediction from exact states is exact."""
-    global NOISE_Q, NOISE_V
-    kept, (NOISE_Q, NOISE_V) = (NOISE_Q, NOISE_V), (0.0, 0.0)
-    try:
-        trajectories = record(episodes=2)
-    finally:
-        NOISE_Q, NOISE_V = kept
+    trajectories = record(episodes=2, noise=(0.0, 0.0))
     spec = mujoco.MjSpec.from_string(ARM)
     data, velocities = recordings(spec.copy().compile(), trajectories)
     sim = Simulator(spec, data, velocities)

@@ -127,6 +127,9 @@ class ActionTransformation(ManualModule):
 
     # --- learning ---------------------------------------------------------------------------------
 
+    def on_fit_start(self) -> None:
+        self.standardise(self.trainer.datamodule.target_transitions)
+
     def standardise(self, target: dict[str, Tensor]) -> None:
         """Take mean and spread from the target's transitions."""
         change = target["next_features"] - target["features"]
