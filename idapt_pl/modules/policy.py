@@ -12,9 +12,10 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target, squashed_log_prob
+from idapt_pl.misperception import Faithful, Misperception
 from idapt_pl.modules.training import ManualModule, fast_precision
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision, orthogonal_init
-from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.images import jitter, stack_channels
 from idapt_pl.nets.mlp import mlp
 
 
@@ -93,6 +94,9 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: with ``supervised``, regression steps for each environment step.
         estimator_batch: with ``supervised``, observations in a regression step.
         lr_estimator: with ``supervised``, Adam.
+        estimator_jitter: with ``supervised``, how much contrast, brightness and noise of images vary in the regression.
+        misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
+            estimates have while training, new ones in every episode (:class:`~idapt_pl.misperception.Misperception`).
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
@@ -124,6 +128,8 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: float = 1.0,
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
+        estimator_jitter: float = 0.0,
+        misperception: float = 0.0,
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
         bf16: bool = True,
@@ -168,6 +174,12 @@ class AsymmetricSAC(ManualModule):
             return {"observation": pixels}
         return {"observation": self.encode(pixels).cpu().numpy(), "pixels": pixels}
 
+    def perception(self, num_envs: int, seed: int) -> Faithful:
+        """What becomes of f(o) on its way to the policy while it trains in ``num_envs`` simulations."""
+        if self.hparams.encoder == "learned" or not self.hparams.misperception:
+            return Faithful()
+        return Misperception(self.actor.encoder, num_envs, self.hparams.misperception, seed)
+
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
         """Sampled actions for what :meth:`remember` returned."""
@@ -194,7 +206,8 @@ class AsymmetricSAC(ManualModule):
         """Regress f(o) on the standardised source state, L1."""
         f = self.actor.encoder
         with fast_precision(self.device, self.hparams.bf16):
-            loss = f.error(stack_channels(batch["pixels"]), batch["state"])
+            images = jitter(stack_channels(batch["pixels"]), self.hparams.estimator_jitter)
+            loss = f.error(images, batch["state"])
         self.descend(self.optimizers()[3], loss)
         return {"policy/state_error": loss.detach()}
 
