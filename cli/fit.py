@@ -14,6 +14,7 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli.provenance import write_provenance
 from cli.table import print_summary
+from idapt_pl.discovery import Discovery
 from idapt_pl.domains import View
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Factories, Feeding, Fitting
@@ -74,6 +75,7 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
         parser.add_class_arguments(Schedule, "schedule")
+        parser.add_class_arguments(Discovery, "effects")
         parser.add_class_arguments(Feeding, "feeding")
         parser.add_class_arguments(Vision, "vision")
         for name, module in MODULES.items():
@@ -121,7 +123,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
         factories[name] = functools.partial(factories[name], vision=config.vision)
     fitting = Fitting(worlds, stages, Factories(**factories), config.feeding)
     evaluation = Evaluation(worlds, stages, config.episodes, config.target)
-    return IterativeGrounding(fitting, evaluation, config.schedule), run_dir
+    return IterativeGrounding(fitting, evaluation, config.schedule, config.effects), run_dir
 
 
 def main(args: list[str]) -> int:

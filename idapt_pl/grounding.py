@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from idapt_pl.discovery import Discovery, discover
+from idapt_pl.domains import effect_from_dict
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Fitting
 from idapt_pl.rollout import EXPLORATION, Act, collect
@@ -58,6 +60,9 @@ class Schedule:
     accumulate: bool = False
 
 
+NOTHING = Discovery(discover=False)
+
+
 class IterativeGrounding:
     """IDAPT. Input: datasets D^S, D^T; output: a policy for the target and the grounding it learned in.
 
@@ -65,8 +70,8 @@ class IterativeGrounding:
     at the end of a grounding step, not at its beginning.
     """
 
-    def __init__(self, fit: Fitting, evaluation: Evaluation, schedule: Schedule) -> None:
-        self.fit, self.evaluation, self.schedule = fit, evaluation, schedule
+    def __init__(self, fit: Fitting, evaluation: Evaluation, schedule: Schedule, effects: Discovery = NOTHING) -> None:
+        self.fit, self.evaluation, self.schedule, self.effects = fit, evaluation, schedule, effects
         self.worlds, self.stages = fit.worlds, fit.stages
 
     def run(self) -> dict:
@@ -79,6 +84,7 @@ class IterativeGrounding:
         self.evaluation.direct_transfer(pi)
 
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
+        self.repair_source(0, D_T, D_S[0], G)
         F = None  # the identity
         pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
@@ -88,6 +94,8 @@ class IterativeGrounding:
             D_S.append(self.roll_out_grounded(k, pi, G, F))
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
             G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
+            if self.repair_source(k, D_T, None, G):
+                F = None  # it was F of another source
             if self.schedule.action_transformation:
                 F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore)
             pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)
@@ -111,6 +119,24 @@ class IterativeGrounding:
         """D^S_online: the current policy in the grounded source; source images and states are kept."""
         return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
 
+    def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G) -> bool:
+        """Add to the source the effects that the target's images show it lacks. Returns whether there were any.
+
+        ``D_S`` are recordings of the source as it is; None makes them.
+        """
+        if not self.effects.discover:
+            return False
+        if D_S is None:
+            D_S = self._record_source(k, self.explore, None, None, self.schedule.images, "control")
+        target = D_T if k == 0 else [D_T[0], D_T[-1]]
+
+        def make(seed: int) -> dict:
+            return discover(self.worlds.task, self.worlds.source_domain, G, target, [D_S], self.effects, seed)
+
+        found = [effect_from_dict(e) for e in self.stages.measure(k, "effects", make)["effects"]]
+        self.worlds.repair(found)
+        return bool(found)
+
     def explore(self, seed: int, num_envs: int = 1) -> Act:
         """The task-agnostic policy."""
         with closing(self.worlds.source(num_envs)) as env:
@@ -133,9 +159,9 @@ class IterativeGrounding:
         self.worlds.ledger.enter(k, "training", taken)
         return path
 
-    def _record_source(self, k: int, policy, G, F, steps: int) -> Path:
+    def _record_source(self, k: int, policy, G, F, steps: int, name: str = "source") -> Path:
         def make(seed: int):
             env = self.worlds.grounded(1, G, F)
             return collect(env, policy(seed), steps, seed, f"{self.worlds.task.name} source, step {k}", "source_pixels")
 
-        return self.stages.record(k, "source", make)[0]
+        return self.stages.record(k, name, make)[0]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from idapt_pl.domains import WHOLE, Domain, View
+from idapt_pl.domains import WHOLE, Domain, Effect, View
 from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
 from idapt_pl.tasks import Task
 
 
-@dataclass(frozen=True)
+@dataclass
 class Worlds:
-    """Makes the environments of a run, all with the same image size and frame stack."""
+    """Makes the environments of a run, all with the same image size and frame stack.
+
+    The source is what its domain says and what :meth:`repair` has added since.
+    """
 
     task: Task
     source_domain: Domain
@@ -23,6 +27,10 @@ class Worlds:
     image_size: int
     frame_stack: int
     view: View = WHOLE
+
+    def repair(self, effects: Iterable[Effect]) -> None:
+        """Add effects to the source, for all environments made from now on."""
+        self.source_domain = self.source_domain.with_effects(*effects)
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""

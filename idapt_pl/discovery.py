@@ -1,0 +1,144 @@
+"""Which physical effect does the source lack? Found from the target's images and actions alone.
+
+P^T turns the target's images into positions, and the diagnosis looks for the effect with which the source replays them.
+P^T on images is a poor sensor, with errors that depend on the state, so the same diagnosis is made a second time on
+recordings of the source, seen through G and P^T: there nothing is missing, and what is found is an error of the
+sensor. What is found in the target is believed if the error there is clearly larger and it is something else.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import Episode, Trajectories
+from datamodules.unpaired import read_all
+from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis.search import Settings
+from idapt_pl.domains import Domain
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.tasks import Task
+
+log = logging.getLogger(__name__)
+SHORTEST = 5
+"""Control steps that an episode must last to be of use."""
+CLEARLY_MORE = 1.3
+"""How many times as large as in the control the error must be in some channel of the target."""
+See = Callable[[np.ndarray], np.ndarray]
+CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
+"""What is looked for by default: what an environment can be given, and what a sensor as poor as P^T can tell apart."""
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Whether and how the loop looks for effects that the source lacks.
+
+    Args:
+        discover: look for them in every grounding step and add what is found to the source.
+        candidates: names of the effects to consider.
+        max_effects: stop after so many in a grounding step.
+    """
+
+    discover: bool = False
+    candidates: tuple[str, ...] = CANDIDATES
+    max_effects: int = 2
+
+
+@torch.no_grad()
+def positions(images: np.ndarray, predictor: PixelStatePredictor, nq: int, chunk: int = 256) -> np.ndarray:
+    """Positions read from single frames: uint8 (n, H, W, 3) to (n, nq), m or rad."""
+    if predictor.shown[:nq] != list(range(nq)):
+        raise ValueError(
+            "effects are found from positions in single frames: use vision.rates: differences, and a task whose state "
+            "is its positions followed by its velocities"
+        )
+    parts = np.array_split(images, len(images) // chunk + 1)
+    stacks = (torch.from_numpy(np.repeat(p[:, None], 3, 1)) for p in parts)
+    device = next(predictor.parameters()).device
+    return np.concatenate([predictor.predict(s.to(device))[:, :nq].cpu().numpy() for s in stacks]).astype(float)
+
+
+def readings(
+    files: Sequence[Path], predictor: PixelStatePredictor, nq: int, see: See = lambda frames: frames
+) -> Trajectories:
+    """Recordings as a sensor of positions gives them: ``qpos`` and actions.
+
+    Args:
+        files: trajectory files with images.
+        predictor: the sensor.
+        nq: positions of the model.
+        see: what happens to frames (n, H, W, 3) before the sensor sees them.
+    """
+    data = read_all(files)
+    episodes = (
+        Episode(e.actions, {"qpos": positions(see(np.asarray(e.observations["pixels"])), predictor, nq)}) for e in data
+    )
+    return Trajectories(tuple(episodes), data.dt, "positions read from images")
+
+
+def pieces(data: Trajectories, length: int) -> Trajectories:
+    """Episodes cut into pieces of ``length`` control steps; what is left over at an end is dropped."""
+    cut = [
+        Episode(e.actions[i : i + length], {"qpos": e.observations["qpos"][i : i + length + 1]})
+        for e in data
+        for i in range(0, len(e) - length + 1, length)
+    ]
+    return Trajectories(tuple(cut), data.dt, data.source)
+
+
+def discover(
+    task: Task, source: Domain, G: VisualTransformation, target: Sequence[Path], control: Sequence[Path],
+    options: Discovery, seed: int,
+) -> dict:  # fmt: skip
+    """Diagnose the source by the target's images, and the sensor by the source's.
+
+    Args:
+        task: whose state is positions followed by velocities.
+        source: the domain to be repaired, with what has been found so far.
+        G: with P^T, the sensor.
+        target: trajectory files of the target; images and actions are all that is used.
+        control: trajectory files of the source as it is now, with images.
+        options: what to look for.
+        seed: of the choice of windows.
+
+    Returns:
+        ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
+        channel's error in the target to that in the control; the diagnosis's ``estimates``, its error ``before`` and
+        ``after``, in units of the sensor's noise, and the errors of the channels of ``target`` and ``control``.
+    """
+    spec = source.spec()
+    nq = spec.copy().compile().nq
+    settings = Settings(max_effects=options.max_effects)
+
+    seen = readings(target, G.P_T, nq)
+    checked = readings(control, G.P_T, nq, lambda frames: G.translate(frames[:, None])[:, 0])
+    # Pieces of one length, so that both are judged over the same horizon.
+    length = max(SHORTEST, int(min(np.median([len(e) for e in d]) for d in (seen, checked))))
+    seen, checked = (
+        diagnose(spec.copy(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings)
+        for d in (seen, checked)
+    )
+    found = [e for e in seen.effects if e.name != "numerics"]
+    made_up = {(e.name, e.target) for e in checked.effects}
+    errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
+    excess = max(c["before"] / errors[1][name]["before"] for name, c in errors[0].items())
+    believed = [e for e in found if (e.name, e.target) not in made_up and excess > CLEARLY_MORE]
+    report = {e["effect"] + e["target"]: e for e in seen.report["effects"]}
+    for e in found:
+        log.info("effect found from images: %s", report.get(e.name + e.target, e))
+    return {
+        "effects": [e.to_dict() for e in believed],
+        "disbelieved": [e.to_dict() for e in found if e not in believed],
+        "estimates": [e for e in seen.report["effects"] if e["effect"] != "numerics"],
+        "excess": excess,
+        "before": seen.report["error"]["before"],
+        "after": seen.report["error"]["after"],
+        "target": errors[0],
+        "control": errors[1],
+    }

@@ -1,0 +1,105 @@
+"""Effects found from images and actions: planted ones, none where nothing is planted, none that the sensor makes up."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from datamodules import Episode, Trajectories, write_trajectories
+from idapt_pl.discovery import Discovery, discover, positions
+from idapt_pl.domains.effects import BodyMass, JointDamping
+from idapt_pl.nets.encoder import Vision
+from idapt_pl.tasks import make_task
+
+LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
+RANGE = 2.0  # m or rad to either side
+
+
+def picture(qpos):
+    """Positions written into pixels, three digits of a number each: (n, nq) to (n, 1, nq, 3)."""
+    number = np.clip((qpos + RANGE) / (2 * RANGE), 0, 1) * (256**3 - 1)
+    digits = np.stack([number // 256**2, number // 256 % 256, number % 256], -1)
+    return digits.astype(np.uint8)[:, None]
+
+
+class Reader(torch.nn.Module):
+    """Reads :func:`picture`, with noise, and with a gain on angles as a poor G would give it."""
+
+    shown = (0, 1)
+
+    def __init__(self, gain=1.0):
+        super().__init__()
+        self.gain = gain
+        self.parameter = torch.nn.Parameter(torch.zeros(()))
+
+    def predict(self, stacks):
+        digits = stacks[:, -1, 0].double()
+        q = (digits * torch.tensor([256**2, 256, 1.0])).sum(-1) / (256**3 - 1) * 2 * RANGE - RANGE
+        q = q + 1e-3 * torch.from_numpy(np.random.default_rng(len(q)).normal(size=q.shape))
+        return torch.cat([q[:, :1], self.gain * q[:, 1:], torch.zeros_like(q)], -1)
+
+
+class Sensor:
+    """What :func:`discover` needs of a visual transformation."""
+
+    def __init__(self, gain=1.0):
+        self.P_T = Reader(gain)
+        self.P_T.shown = [0, 1]
+
+    @staticmethod
+    def translate(pixels):
+        return pixels
+
+
+def recorded(path, domain, seed, episodes=60, steps=12):
+    """Images and actions of a pendulum under slow random pushes; no states, no rewards."""
+    task, rng = make_task("inverted_pendulum"), np.random.default_rng(seed)
+    model, made = domain.compile(), []
+    data = mujoco.MjData(model)
+    for _ in range(episodes):
+        mujoco.mj_resetData(model, data)
+        task.reset(model, data, rng)
+        q, actions = [data.qpos.copy()], np.clip(rng.normal(size=(steps, 1)) + rng.normal(), -3, 3)
+        for a in actions:
+            data.ctrl[:] = a
+            mujoco.mj_step(model, data, task.frame_skip)
+            q.append(data.qpos.copy())
+        made.append(Episode(actions.astype(np.float32), {"pixels": picture(np.array(q))}))
+    write_trajectories(path, Trajectories(tuple(made), 0.04, "test"))
+    return path
+
+
+def found(tmp_path, *hidden, gain=1.0):
+    task = make_task("inverted_pendulum")
+    source = task.domain("source")
+    control = recorded(tmp_path / "control.h5", source, 1)
+    target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
+    return discover(task, source, Sensor(gain), [target], [control], LOOK_FOR, seed=0)
+
+
+@pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])
+def test_a_planted_effect_is_found(tmp_path, hidden):
+    result = found(tmp_path, hidden)
+    (effect,) = result["effects"]
+    assert (effect["effect"], effect["target"]) == (hidden.name, hidden.target)
+    value, truth = next(iter(effect["parameters"].values())), next(iter(hidden.to_dict()["parameters"].values()))
+    assert value == pytest.approx(truth, rel=0.1)
+    assert result["after"] < 0.5 * result["before"]
+
+
+def test_nothing_is_found_where_nothing_is_planted(tmp_path):
+    result = found(tmp_path)
+    assert result["effects"] == []
+
+
+def test_what_the_control_shows_too_is_not_believed(tmp_path):
+    """A sensor that reads all angles 40 % too small makes something up, in the source as well."""
+    result = found(tmp_path, gain=0.6)
+    assert result["effects"] == []
+
+
+def test_a_predictor_that_needs_stacks_is_refused():
+    predictor = Vision().predictor(32, 3, 4, {}, 0.04)
+    predictor.shown = [2, 3]
+    with pytest.raises(ValueError, match=r"vision\.rates"):
+        positions(np.zeros((1, 32, 32, 3), np.uint8), predictor, 2)
