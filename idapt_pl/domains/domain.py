@@ -57,6 +57,10 @@ class Domain:
         """The same domain with more effects."""
         return Domain(self.name, self.base, (*self.effects, *effects))
 
+    def named(self, name: str) -> Domain:
+        """The same domain by another name."""
+        return Domain(name, self.base, self.effects)
+
     def spec(self) -> mujoco.MjSpec:
         """The base model with all effects applied."""
         spec = self.base()

@@ -49,10 +49,27 @@ class CameraPose(Effect):
 
 
 @dataclass(frozen=True)
+class CameraFrame(Effect):
+    """Where the camera stands, in its body's frame: a position, and its x (right) and y (up) axes as MJCF has them."""
+
+    name: ClassVar[str] = "camera_frame"
+    position: tuple[float, float, float] = parameter("m", -1e3, 1e3)
+    xyaxes: tuple[float, float, float, float, float, float] = parameter("1", -1e3, 1e3)
+    fovy: float = 45.0
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for camera in elements(spec, "cameras", self.target):
+            camera.pos, camera.fovy = self.position, self.fovy
+            camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+            camera.alt.xyaxes = self.xyaxes
+
+
+@dataclass(frozen=True)
 class Light(Effect):
     """Light colours. Target ``"headlight"`` is the light at the camera; any other name is a lamp.
 
-    A lamp that the model lacks is added, at ``position``, shining straight down.
+    A lamp that the model lacks is added, at ``position``, shining straight down. ``kind`` is ``"spot"``, a cone from
+    that position, or ``"directional"``.
     """
 
     name: ClassVar[str] = "light"
@@ -60,12 +77,18 @@ class Light(Effect):
     ambient: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     specular: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     position: tuple[float, float, float] | None = None
+    kind: str | None = None
 
     def apply(self, spec: mujoco.MjSpec) -> None:
+        kinds = {"spot": mujoco.mjtLightType.mjLIGHT_SPOT, "directional": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL}
+        if self.kind is not None and self.kind not in kinds:
+            raise ValueError(f"light: kind must be one of {', '.join(kinds)}, got {self.kind!r}")
         light: Any = spec.visual.headlight if self.target == "headlight" else self._lamp(spec)
         for channel in ("diffuse", "ambient", "specular"):
             if getattr(self, channel) is not None:
                 setattr(light, channel, getattr(self, channel))
+        if self.kind is not None:
+            light.type = kinds[self.kind]
 
     def _lamp(self, spec: mujoco.MjSpec) -> Any:
         lamp = spec.light(self.target) or spec.worldbody.add_light(name=self.target, dir=[0, 0, -1])
@@ -88,6 +111,44 @@ class Color(Effect):
 
 
 @dataclass(frozen=True)
+class Material(Effect):
+    """What a geom is painted with: a material of dm_control's suite, together with its texture."""
+
+    name: ClassVar[str] = "material"
+    dm_control: str = "grid"  # in dm_control/suite/common/materials.xml
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        suite = dm_control_assets("materials.xml")
+        if suite.material(self.dm_control) is None:
+            names = ", ".join(m.name for m in suite.materials)
+            raise ValueError(f"material: dm_control has no material {self.dm_control!r}; it has: {names}")
+        if spec.material(self.dm_control) is None:
+            copy_material(suite, spec, self.dm_control)
+        for geom in elements(spec, "geoms", self.target):
+            geom.material = self.dm_control
+            geom.rgba = (0.5, 0.5, 0.5, 1)  # MJCF's default: the material's own colour counts
+
+
+def dm_control_assets(file: str) -> mujoco.MjSpec:
+    """One of the files of assets that dm_control's suite shares."""
+    return mujoco.MjSpec.from_string((importlib.resources.files("dm_control") / "suite/common" / file).read_text())
+
+
+def copy_material(source: mujoco.MjSpec, spec: mujoco.MjSpec, name: str) -> None:
+    """Copy a material and its procedural texture from one model to another."""
+    material = source.material(name)
+    new = spec.add_material(name=name)
+    for k in ("rgba", "emission", "specular", "shininess", "reflectance", "texrepeat", "texuniform", "textures"):
+        setattr(new, k, getattr(material, k))
+    for texture in filter(None, material.textures):
+        old = source.texture(texture)
+        settings = {
+            k: getattr(old, k) for k in ("type", "builtin", "rgb1", "rgb2", "mark", "markrgb", "width", "height")
+        }
+        spec.add_texture(name=texture, **settings)
+
+
+@dataclass(frozen=True)
 class Texture(Effect):
     """What is painted on the sky: one flat colour, or a dm_control skybox. Target is ``"sky"``."""
 
@@ -101,8 +162,7 @@ class Texture(Effect):
         for old in [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]:
             spec.delete(old)
         if self.dm_control is not None:
-            common = importlib.resources.files("dm_control") / "suite" / "common" / self.dm_control
-            sky = mujoco.MjSpec.from_string(common.read_text()).textures[0]
+            sky = dm_control_assets(self.dm_control).textures[0]
             settings = {k: getattr(sky, k) for k in ("builtin", "rgb1", "rgb2", "mark", "markrgb", "random")}
         else:
             settings = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT, "rgb1": self.flat, "rgb2": self.flat}

@@ -64,7 +64,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
     @property
     def dt(self) -> float:
         """Control period, s."""
-        return self.model.opt.timestep * self.task.frame_skip
+        return self.task.period(self.model)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         if seed is not None:
@@ -78,9 +78,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         rewards = np.zeros(self.num_envs)
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
-            data.ctrl[:] = actions[i]
-            mujoco.mj_step(self.model, data, self.task.frame_skip)
-            rewards[i], terminations[i] = self.task.outcome(self.model, data, actions[i])
+            rewards[i], terminations[i] = self.task.step(self.model, data, actions[i])
             self._frames[i, :-1] = self._frames[i, 1:]
             self._render(data, out=self._frames[i, -1])
         self._elapsed += 1
