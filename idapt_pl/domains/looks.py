@@ -50,18 +50,23 @@ class CameraPose(Effect):
 
 @dataclass(frozen=True)
 class CameraFrame(Effect):
-    """Where the camera stands, in its body's frame: a position, and its x (right) and y (up) axes as MJCF has them."""
+    """Where the camera stands, in its body's frame: a position, and MJCF's ``xyaxes`` (right and up) or ``quat``."""
 
     name: ClassVar[str] = "camera_frame"
-    position: tuple[float, float, float] = parameter("m", -1e3, 1e3)
-    xyaxes: tuple[float, float, float, float, float, float] = parameter("1", -1e3, 1e3)
+    position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
+    xyaxes: tuple[float, float, float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
+    quat: tuple[float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
     fovy: float = 45.0
 
     def apply(self, spec: mujoco.MjSpec) -> None:
+        if (self.xyaxes is None) == (self.quat is None):
+            raise ValueError(f"camera_frame on {self.target!r}: give either xyaxes or quat")
         for camera in elements(spec, "cameras", self.target):
             camera.pos, camera.fovy = self.position, self.fovy
-            camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
-            camera.alt.xyaxes = self.xyaxes
+            if self.quat is not None:
+                camera.alt.type, camera.quat = mujoco.mjtOrientation.mjORIENTATION_QUAT, self.quat
+            else:
+                camera.alt.type, camera.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, self.xyaxes
 
 
 @dataclass(frozen=True)
@@ -150,10 +155,11 @@ def copy_material(source: mujoco.MjSpec, spec: mujoco.MjSpec, name: str) -> None
 
 @dataclass(frozen=True)
 class Texture(Effect):
-    """What is painted on the sky: one flat colour, or a dm_control skybox. Target is ``"sky"``."""
+    """What is painted on the sky: one colour, or a fading one, or a dm_control skybox. Target is ``"sky"``."""
 
     name: ClassVar[str] = "texture"
     flat: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    fade_to: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     dm_control: str | None = None  # file in dm_control/suite/common, for example skybox.xml
 
     def apply(self, spec: mujoco.MjSpec) -> None:
@@ -165,5 +171,6 @@ class Texture(Effect):
             sky = dm_control_assets(self.dm_control).textures[0]
             settings = {k: getattr(sky, k) for k in ("builtin", "rgb1", "rgb2", "mark", "markrgb", "random")}
         else:
-            settings = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT, "rgb1": self.flat, "rgb2": self.flat}
+            kind = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT if self.fade_to else mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            settings = {"builtin": kind, "rgb1": self.flat, "rgb2": self.fade_to or self.flat}
         spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings)

@@ -26,7 +26,17 @@ class Command:
 
 @dataclass(frozen=True)
 class CommandEffect(Effect):
-    """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``."""
+    """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``.
+
+    Attributes:
+        in_mjcf: whether ``apply`` writes it into the model; if not, environments put commands through ``law``.
+    """
+
+    in_mjcf: ClassVar[bool] = True
+
+    def columns(self, model: mujoco.MjModel) -> list[int]:
+        """The commands that ``law`` takes and gives, as columns of ``data.ctrl``."""
+        return [i for i in range(model.nu) if self.target in ("*", model.actuator(i).name)]
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
         """What arrives of a command. ``columns`` are the actuators meant, ``step`` the simulation's time step [s]."""
@@ -139,10 +149,35 @@ class ActuatorDeadzone(CommandEffect):
     """Commands smaller than the width do nothing; larger ones lose it. MJCF has no words for it."""
 
     name: ClassVar[str] = "actuator_deadzone"
+    in_mjcf: ClassVar[bool] = False
     width: float = parameter("command", 0.0, 1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.sign(values) * np.maximum(np.abs(values) - self.width, 0.0)
+
+
+@dataclass(frozen=True)
+class ActuatorRotation(CommandEffect):
+    """Two commands turned in their plane: a robot that is mounted askew. MJCF has no words for it.
+
+    The target is the first of the two and ``partner`` the second; a positive angle turns the first towards the second.
+    """
+
+    name: ClassVar[str] = "actuator_rotation"
+    in_mjcf: ClassVar[bool] = False
+    angle: float = parameter("rad", -np.pi, np.pi)
+    partner: str = ""
+
+    def columns(self, model: mujoco.MjModel) -> list[int]:
+        return [model.actuator(name).id for name in (self.target, self.partner)]
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return values @ np.array([[c, s], [-s, c]])
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for name in (self.target, self.partner):
+            elements(spec, "actuators", name)
 
 
 @dataclass(frozen=True)

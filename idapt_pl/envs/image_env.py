@@ -20,7 +20,8 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
 
     Observations: ``pixels`` uint8 (n, K, H, W, 3), the last K frames, oldest first; ``state`` float32
     (n, state_dim). Actions: float32 (n, nu) in the actuators' units, clipped to ``ctrlrange``.
-    A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``.
+    A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``. Where the task's
+    metric is success, ``infos["success"]`` is bool (n,), as of before that reset.
 
     Args:
         task: the task.
@@ -75,6 +76,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
 
     def step(self, actions: np.ndarray):
         actions = np.clip(actions, self.action_space.low, self.action_space.high)
+        actions = self.domain.command(self.model, actions)
         rewards = np.zeros(self.num_envs)
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
@@ -85,11 +87,18 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
         infos: dict[str, Any] = {}
+        if self.task.metric == "success":
+            infos["success"] = np.array([self.task.success(self.model, data) for data in self.data])
         if done.any():
-            infos = {"final_obs": self._observe(), "_final_obs": done}
+            infos |= {"final_obs": self._observe(), "_final_obs": done}
             for i in np.flatnonzero(done):
                 self._reset_one(i)
         return self._observe(), rewards, terminations, truncations, infos
+
+    def show(self, i: int, other: mujoco.MjData) -> np.ndarray:
+        """Put simulation ``i`` into the state of another domain's. Returns its frame; for paired evaluation only."""
+        self.data[i].mocap_pos[:], self.data[i].mocap_quat[:] = other.mocap_pos, other.mocap_quat
+        return self.set_state(i, other.qpos, other.qvel)
 
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""

@@ -44,9 +44,9 @@ class Locomotion(Task):
         spec.body("torso").add_camera(name=CAMERA, mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM)
         return spec
 
-    def act(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
+    def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
         data.userdata[0] = data.qpos[0]
-        super().act(model, data, action)
+        super().play(model, data, action)
 
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         return np.concatenate([data.qpos[1:], np.clip(data.qvel, -self.velocity_limit, self.velocity_limit)])

@@ -50,21 +50,25 @@ class Task(ABC):
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         """Reward and termination after ``frame_skip`` physics steps with ``action``."""
 
-    def act(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
-        """Put an action, within the actuators' ranges, into the simulation."""
+    def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
+        """Hold an action, within the actuators' ranges, for ``frame_skip`` physics steps."""
         data.ctrl[:] = action
+        mujoco.mj_step(model, data, self.frame_skip)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         """Play one control step. Returns its reward and whether the task is over."""
         total, over = 0.0, False
         for _ in range(self.action_repeat):
-            self.act(model, data, action)
-            mujoco.mj_step(model, data, self.frame_skip)
+            self.play(model, data, action)
             reward, over = self.outcome(model, data, action)
             total += reward
             if over:
                 break
         return total, over
+
+    def success(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Whether the goal is reached; for tasks whose metric is success."""
+        raise NotImplementedError
 
     def period(self, model: mujoco.MjModel) -> float:
         """Control period, s."""
