@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from idapt_pl.domains.packaged import ModelsMissing, packaged_file
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import make_task
-from idapt_pl.tasks.packaged import ModelsMissing, packaged_file
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,18 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Prefix of a model's arrays to how many elements of that kind there are, and their type."""
 
-VISUAL = ("geom_rgba", "geom_matid", "cam_", "light_", "mat_", "tex_", "headlight", "site_rgba", "site_matid")
+VISUAL = (
+    "geom_rgba",
+    "geom_matid",
+    "geom_shown",
+    "cam_",
+    "light_",
+    "mat_",
+    "tex_",
+    "headlight",
+    "site_rgba",
+    "site_matid",
+)
 """Beginnings of the names of fields that change images alone."""
 
 FOLLOWS = re.compile(
@@ -62,8 +73,8 @@ def differences(a: mujoco.MjModel, b: mujoco.MjModel) -> list[Difference]:
     found = _of_options(a, b)
     for prefix in KINDS:
         names_a, names_b = _names(a, prefix), _names(b, prefix)
-        found += [Difference(prefix, n, n, None) for n in names_a if n not in names_b]
-        found += [Difference(prefix, n, None, n) for n in names_b if n not in names_a]
+        found += [Difference(_kind(a, prefix, i), n, n, None) for n, i in names_a.items() if n not in names_b]
+        found += [Difference(_kind(b, prefix, i), n, None, n) for n, i in names_b.items() if n not in names_a]
         for field in _fields(a, prefix):
             for name in (n for n in names_a if n in names_b):
                 before, after = (_value(m, field, names[name]) for m, names in ((a, names_a), (b, names_b)))
@@ -72,10 +83,16 @@ def differences(a: mujoco.MjModel, b: mujoco.MjModel) -> list[Difference]:
     return found
 
 
+def _kind(model: mujoco.MjModel, prefix: str, i: int) -> str:
+    """What an element that only one model has is called: ``geom_shown`` for a geom that touches nothing."""
+    only_seen = prefix == "geom" and not (model.geom_contype[i] or model.geom_conaffinity[i])
+    return "geom_shown" if only_seen else prefix
+
+
 def _names(model: mujoco.MjModel, prefix: str) -> dict[str, int]:
-    """Names to indices; what has no name is called by its number."""
+    """Names to indices; what has no name is called by its number, a geom by its number in its body."""
     count, kind = KINDS[prefix]
-    names = {}
+    names: dict[str, int] = {}
     for i in range(getattr(model, count)):
         if prefix == "dof":
             joint = int(model.dof_jntid[i])
@@ -83,6 +100,9 @@ def _names(model: mujoco.MjModel, prefix: str) -> dict[str, int]:
             name = name if i == first and model.jnt_type[joint] >= 2 else f"{name or joint}[{i - first}]"
         else:
             name = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, kind), i)
+        if not name and prefix == "geom":
+            body = model.geom_bodyid[i]
+            name = f"{model.body(body).name}[{i - model.body_geomadr[body]}]"
         names[name or f"#{i}"] = i
     return names
 

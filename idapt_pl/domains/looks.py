@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.domains.effects import Effect, elements, parameter
+from idapt_pl.domains.packaged import packaged_file
 
 CAMERA = "view"
 """Name of the camera that every task defines and every image is taken with."""
@@ -73,8 +74,8 @@ class CameraFrame(Effect):
 class Light(Effect):
     """Light colours. Target ``"headlight"`` is the light at the camera; any other name is a lamp.
 
-    A lamp that the model lacks is added, at ``position``, shining straight down. ``kind`` is ``"spot"``, a cone from
-    that position, or ``"directional"``.
+    A lamp that the model lacks is added, at ``position``, shining straight down or in ``direction``. ``kind`` is
+    ``"spot"``, a cone from that position, or ``"directional"``.
     """
 
     name: ClassVar[str] = "light"
@@ -82,6 +83,7 @@ class Light(Effect):
     ambient: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     specular: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     position: tuple[float, float, float] | None = None
+    direction: tuple[float, float, float] | None = None
     kind: str | None = None
 
     def apply(self, spec: mujoco.MjSpec) -> None:
@@ -99,6 +101,8 @@ class Light(Effect):
         lamp = spec.light(self.target) or spec.worldbody.add_light(name=self.target, dir=[0, 0, -1])
         if self.position is not None:
             lamp.pos = self.position
+        if self.direction is not None:
+            lamp.dir = self.direction
         return lamp
 
 
@@ -117,21 +121,32 @@ class Color(Effect):
 
 @dataclass(frozen=True)
 class Material(Effect):
-    """What a geom is painted with: a material of dm_control's suite, together with its texture."""
+    """What a geom is painted with: a material of dm_control's suite, or a picture that metaworld ships."""
 
     name: ClassVar[str] = "material"
-    dm_control: str = "grid"  # in dm_control/suite/common/materials.xml
+    dm_control: str | None = None  # in dm_control/suite/common/materials.xml, for example grid
+    picture: str | None = None  # in metaworld/assets/textures, for example wood2.png
+    repeat: tuple[float, float] = parameter("1", 0.0, 1e4, default=(1.0, 1.0))  # of a picture
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        suite = dm_control_assets("materials.xml")
-        if suite.material(self.dm_control) is None:
-            names = ", ".join(m.name for m in suite.materials)
-            raise ValueError(f"material: dm_control has no material {self.dm_control!r}; it has: {names}")
-        if spec.material(self.dm_control) is None:
-            copy_material(suite, spec, self.dm_control)
+        if (self.dm_control is None) == (self.picture is None):
+            raise ValueError(f"material on {self.target!r}: give either dm_control or picture")
+        name = self.dm_control or self.picture
+        if spec.material(name) is None:
+            copy_material(dm_control_assets("materials.xml"), spec, name) if self.dm_control else self._add(spec, name)
         for geom in elements(spec, "geoms", self.target):
-            geom.material = self.dm_control
+            geom.material = name
             geom.rgba = (0.5, 0.5, 0.5, 1)  # MJCF's default: the material's own colour counts
+
+    def _add(self, spec: mujoco.MjSpec, name: str) -> None:
+        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_CUBE, file=picture_file(name))
+        material = spec.add_material(name=name, texrepeat=self.repeat, specular=0.2)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def picture_file(name: str) -> str:
+    """Path of one of the pictures that metaworld ships."""
+    return str(packaged_file("metaworld", f"assets/textures/{name}"))
 
 
 def dm_control_assets(file: str) -> mujoco.MjSpec:
@@ -142,6 +157,8 @@ def dm_control_assets(file: str) -> mujoco.MjSpec:
 def copy_material(source: mujoco.MjSpec, spec: mujoco.MjSpec, name: str) -> None:
     """Copy a material and its procedural texture from one model to another."""
     material = source.material(name)
+    if material is None:
+        raise ValueError(f"there is no material {name!r}; there are: {', '.join(m.name for m in source.materials)}")
     new = spec.add_material(name=name)
     for k in ("rgba", "emission", "specular", "shininess", "reflectance", "texrepeat", "texuniform", "textures"):
         setattr(new, k, getattr(material, k))
@@ -174,3 +191,22 @@ class Texture(Effect):
             kind = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT if self.fade_to else mujoco.mjtBuiltin.mjBUILTIN_FLAT
             settings = {"builtin": kind, "rgb1": self.flat, "rgb2": self.fade_to or self.flat}
         spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings)
+
+
+@dataclass(frozen=True)
+class Scenery(Effect):
+    """A furnished room around the robot. It is seen and touches nothing. Target is ``"world"``.
+
+    The room is an MJCF file in ``idapt_pl/domains/scenery``; its pictures are metaworld's.
+    """
+
+    name: ClassVar[str] = "scenery"
+    room: str = "interior"
+    position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        rooms = importlib.resources.files("idapt_pl.domains") / "scenery"
+        room = mujoco.MjSpec.from_string((rooms / f"{self.room}.xml").read_text())
+        for texture in room.textures:
+            texture.file = picture_file(texture.file)
+        spec.attach(room, prefix=f"{self.room}/", frame=spec.worldbody.add_frame(pos=self.position))

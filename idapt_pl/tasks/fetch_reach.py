@@ -10,8 +10,9 @@ import numpy as np
 
 from idapt_pl.domains import Domain
 from idapt_pl.domains.looks import CAMERA, CameraFrame, CameraPose, Color, Light, Material
+from idapt_pl.domains.packaged import packaged_file
 from idapt_pl.domains.paths import ActuatorBias, ActuatorRotation
-from idapt_pl.tasks.packaged import packaged_file
+from idapt_pl.tasks.indoors import indoors
 from idapt_pl.tasks.task import Task
 
 COMMANDS = ("x", "y", "z", "gripper")
@@ -61,12 +62,13 @@ class FetchReach(Task):
             camera(165, -35, 1.2),
             Material("floor0", dm_control="grid"),
             Color("table", (0.93, 0.93, 0.5, 1)),
-            Light("light0", (0.7, 0.7, 0.7), (0, 0, 0), (0.1, 0.1, 0.1)),
+            Light("lamp", (0.7, 0.7, 0.7), (0, 0, 0), (0.1, 0.1, 0.1)),
         )
         hard = source.with_effects(
             ActuatorRotation("x", np.deg2rad(45), "y"),
             ActuatorBias("z", -0.5),
             CameraFrame(CAMERA, position=(2.0, 0.6, 1.2), xyaxes=(0.2, 1, 0, -0.9, 0, 1)),
+            *indoors(robot=(0.6, 0.75, 0)),
         )
         return {d.name: d for d in (source, easy.named("easy"), hard.named("hard"))}
 
@@ -120,6 +122,7 @@ def fetch_model() -> mujoco.MjSpec:
     spec.delete(spec.body("floor0"))
     goal = spec.worldbody.add_body(name="goal", mocap=True)
     goal.add_geom(size=(0.045, 0, 0), rgba=(1, 0, 0, 1), contype=0, conaffinity=0)  # a sphere, as in the paper's video
+    spec.light("light0").name = "lamp"
     spec.body("table0").geoms[0].name = "table"
     spec.equalities[0].data[3:10] = (0, 0, 0, 1, 0, 0, 0)  # the hand is where the mocap body is
     for name in COMMANDS:

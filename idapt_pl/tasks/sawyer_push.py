@@ -10,7 +10,8 @@ import numpy as np
 from idapt_pl.domains import Domain
 from idapt_pl.domains.effects import BodyMass
 from idapt_pl.domains.looks import CAMERA, CameraFrame, Color, Light, Texture
-from idapt_pl.tasks.packaged import packaged_file
+from idapt_pl.domains.packaged import packaged_file
+from idapt_pl.tasks.indoors import indoors
 from idapt_pl.tasks.task import Task
 
 ARM = tuple(f"right_j{i}" for i in range(7))
@@ -79,6 +80,7 @@ class SawyerPush(Task):
             CameraFrame(CAMERA, (1.5, 0.4, 2.0), quat=(0.76, 0.2, 0.4, 0.76)),
             Color("puck", (0, 0, 1, 1)),
             Color("goal", (0.15, 0.4, 0, 1)),
+            *indoors(robot=(0, 0, 0), other_lamps=("lamp_behind",)),
         )
         return {d.name: d for d in (source, easy.named("easy"), hard.named("hard"))}
 
