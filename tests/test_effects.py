@@ -142,7 +142,7 @@ def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nomin
     same_options = all(getattr(once.opt, n) == getattr(nominal.opt, n) for n in names)
     same_options &= once.opt.gravity.tolist() == nominal.opt.gravity.tolist()
     differs = bool(changed(nominal, once)) or headlight != nominal_headlight or not same_options
-    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | SensorDelay)
+    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | ActuatorRotation | SensorDelay)
     assert differs != beyond_mjcf, "an effect edits the MJCF, or is one that MJCF has no words for"
 
 
