@@ -28,7 +28,17 @@ from idapt_pl.domains.effects import (
     Numerics,
     Payload,
 )
-from idapt_pl.domains.looks import CameraFrame, CameraPose, Color, Light, Material, Scenery, Texture, orbit_axes
+from idapt_pl.domains.looks import (
+    CameraFrame,
+    CameraPose,
+    Color,
+    Light,
+    Material,
+    Renderer,
+    Scenery,
+    Texture,
+    orbit_axes,
+)
 from idapt_pl.domains.paths import (
     ActuatorBias,
     ActuatorDeadzone,
@@ -103,6 +113,7 @@ EXAMPLES = [
     Texture("sky", flat=(0.2, 0.3, 0.4), fade_to=(0, 0, 0)),
     Material("floor", dm_control="grid"),
     Scenery("world", "interior", position=(1, 2, 0)),
+    Renderer("world", "filament"),
     ActuatorRotation("push", 0.5, partner="hold"),
 ]
 

@@ -9,6 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from idapt_pl.domains.rendering import engine_of
+
 KINDS: dict[str, tuple[str, str]] = {
     "body": ("nbody", "mjOBJ_BODY"),
     "jnt": ("njnt", "mjOBJ_JOINT"),
@@ -24,18 +26,7 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Prefix of a model's arrays to how many elements of that kind there are, and their type."""
 
-VISUAL = (
-    "geom_rgba",
-    "geom_matid",
-    "geom_shown",
-    "cam_",
-    "light_",
-    "mat_",
-    "tex_",
-    "headlight",
-    "site_rgba",
-    "site_matid",
-)
+VISUAL = ("geom_rgba", "geom_matid", "geom_shown", "cam_", "light_", "mat_", "tex_", "headlight", "renderer")
 """Beginnings of the names of fields that change images alone."""
 
 FOLLOWS = re.compile(
@@ -133,7 +124,8 @@ def _of_options(a: mujoco.MjModel, b: mujoco.MjModel) -> list[Difference]:
             before, after = getattr(x, key), getattr(y, key)
             if not callable(before) and not np.array_equal(before, after):
                 found.append(Difference(f"{prefix}.{key}", "world", np.copy(before), np.copy(after)))
-    return found
+    engines = [engine_of(m) for m in (a, b)]
+    return found + ([Difference("renderer", "world", *engines)] if engines[0] != engines[1] else [])
 
 
 def _resolve(model: mujoco.MjModel, path: str) -> Any:

@@ -210,3 +210,20 @@ class Scenery(Effect):
         for texture in room.textures:
             texture.file = picture_file(texture.file)
         spec.attach(room, prefix=f"{self.room}/", frame=spec.worldbody.add_frame(pos=self.position))
+
+
+ENGINE = "renderer"
+"""Name of the model's text that says what draws it."""
+
+
+@dataclass(frozen=True)
+class Renderer(Effect):
+    """What draws the images: ``filament``, or MuJoCo's ``classic`` renderer, the default. Target is ``"world"``."""
+
+    name: ClassVar[str] = "renderer"
+    engine: str = "classic"
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.engine not in ("classic", "filament"):
+            raise ValueError(f"renderer: engine must be classic or filament, got {self.engine!r}")
+        spec.add_text(name=ENGINE, data=self.engine)

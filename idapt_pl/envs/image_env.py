@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from idapt_pl.domains import WHOLE, Domain, View
-from idapt_pl.domains.rendering import FrameRenderer
+from idapt_pl.domains.rendering import make_renderer
 from idapt_pl.tasks import Task
 
 
@@ -45,7 +45,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        self._render = FrameRenderer(self.model, image_size)
+        self._render = make_renderer(self.model, image_size)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)

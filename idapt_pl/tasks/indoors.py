@@ -1,9 +1,9 @@
-"""The look of the hard manipulation domains: the paper shows them in a furnished room of Unity3D."""
+"""The look of the hard manipulation domains; the paper draws them with another engine, Unity3D, in a room."""
 
 from __future__ import annotations
 
 from idapt_pl.domains.effects import Effect
-from idapt_pl.domains.looks import Light, Material, Scenery
+from idapt_pl.domains.looks import Light, Material, Renderer, Scenery
 
 
 def indoors(robot: tuple[float, float, float], other_lamps: tuple[str, ...] = ()) -> tuple[Effect, ...]:
@@ -16,6 +16,7 @@ def indoors(robot: tuple[float, float, float], other_lamps: tuple[str, ...] = ()
     x, y, z = robot
     daylight: dict = {"diffuse": (0.62, 0.6, 0.55), "ambient": (0.1, 0.1, 0.1), "specular": (0.2, 0.2, 0.2)}
     return (
+        Renderer("world", engine="filament"),
         Scenery("world", "interior", position=robot),
         Material("table", picture="wood2.png"),
         Light("lamp", **daylight, direction=(0.1, 0.6, -0.8), kind="directional"),
