@@ -72,13 +72,21 @@ def grouped(rows: list[tuple[str, str, bool, dict[str, Any]]]) -> list[tuple[str
     """Rows of one field with the same values put together; of what was added or left out, how many there are."""
     groups: dict[tuple, list[str]] = {}
     for field, element, visual, values in rows:
-        told = {k: None if v is None else "present" if isinstance(v, str) and v == element else text(v) for k, v in values.items()}
+        told = {
+            k: None if v is None else "present" if isinstance(v, str) and v == element else text(v)
+            for k, v in values.items()
+        }
         groups.setdefault((field, visual, tuple(told.items())), []).append(element)
     result = []
     for (field, visual, told), elements in groups.items():
         named = ", ".join(elements) if len(elements) <= 6 else f"{len(elements)}: {', '.join(elements[:3])}, ..."
         result.append((field, named, visual, {k: "-" if v is None else v for k, v in told}))
     return result
+
+
+def told_of(value: Any, element: str) -> str | None:
+    """A value for a reader, or that the element is there; None where there is no such element."""
+    return "present" if isinstance(value, str) and value == element else None if value is None else text(value)
 
 
 def text(value: Any) -> str:

@@ -18,7 +18,11 @@ def test_pictures_show_the_same_states_in_every_domain():
 
 def test_comparison_reads_table_1_from_the_models():
     rows = {(field, of): values for field, of, _, values in comparison(make_task("walker2d"))}
-    assert {k: np.round(v, 6) for k, v in rows["body_mass", "torso"].items()} == {"source": 3.534, "easy": 5.4, "hard": 10}
+    assert {k: np.round(v, 6) for k, v in rows["body_mass", "torso"].items()} == {
+        "source": 3.534,
+        "easy": 5.4,
+        "hard": 10,
+    }
 
 
 def test_what_mjcf_has_no_words_for_is_in_the_table_too():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -45,7 +46,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        self._render = make_renderer(self.model, image_size)
+        self._render = self._make_renderer(image_size)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
@@ -81,8 +82,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
             rewards[i], terminations[i] = self.task.step(self.model, data, actions[i])
-            self._frames[i, :-1] = self._frames[i, 1:]
-            self._render(data, out=self._frames[i, -1])
+            self._look(i)
         self._elapsed += 1
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
@@ -115,7 +115,18 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self.task.reset(self.model, self.data[i], self._rng)
         mujoco.mj_forward(self.model, self.data[i])
         self._elapsed[i] = 0
-        self._frames[i] = self._render(self.data[i])
+        self._look(i, fresh=True)
+
+    def _make_renderer(self, size: int) -> Callable[..., np.ndarray]:
+        return make_renderer(self.model, size)
+
+    def _look(self, i: int, fresh: bool = False) -> None:
+        """Take the newest frame; the first of an episode fills the whole stack."""
+        if fresh:
+            self._frames[i] = self._render(self.data[i])
+        else:
+            self._frames[i, :-1] = self._frames[i, 1:]
+            self._render(self.data[i], out=self._frames[i, -1])
 
     def _observe(self) -> dict[str, np.ndarray]:
         states = [self.task.state(self.model, data) for data in self.data]

@@ -24,6 +24,7 @@ class Locomotion(Task):
         alive: reward of a step.
         control_cost: weight of the squared action.
         velocity_limit: velocities are clipped to it in the state vector, as Gymnasium does in some.
+        direction: 1 pays for going forward, -1 for going backwards.
     """
 
     action_repeat = 2
@@ -32,6 +33,7 @@ class Locomotion(Task):
     alive: ClassVar[float] = 0.0
     control_cost: ClassVar[float]
     velocity_limit: ClassVar[float] = np.inf
+    direction: float = 1.0
     # State: z, pitch, six joints; then the velocities of x, z, pitch, joints. Nothing here is x itself.
     rates: ClassVar[dict[int, int]] = {9 + i: i for i in range(8)}
 
@@ -53,8 +55,13 @@ class Locomotion(Task):
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         speed = (data.qpos[0] - data.userdata[0]) / (model.opt.timestep * self.frame_skip)
-        reward = speed + self.alive - self.control_cost * np.square(action).sum()
+        reward = self.direction * speed + self.alive - self.control_cost * np.square(action).sum()
         return float(reward), not self.upright(data)
+
+    def backwards(self) -> Locomotion:
+        task = type(self)()
+        task.direction = -1.0
+        return task
 
     def upright(self, data: mujoco.MjData) -> bool:
         """Whether the episode goes on."""

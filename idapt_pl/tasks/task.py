@@ -74,6 +74,10 @@ class Task(ABC):
         """Control period, s."""
         return model.opt.timestep * self.frame_skip * self.action_repeat
 
+    def backwards(self) -> Task:
+        """The same task paid for going the other way; its policies give task-agnostic data (Section V)."""
+        raise ValueError(f"task {self.name!r} has no direction, so there is no policy 'backwards' for it")
+
     def domain(self, name: str) -> Domain:
         """One domain by name; the error lists the names there are."""
         domains = self.domains()
