@@ -41,7 +41,7 @@ class ExpertRecipe:
 
 
 RECIPES = {
-    "inverted_pendulum": ExpertRecipe(steps=6_000),
+    "inverted_pendulum": ExpertRecipe(steps=8_000, updates_per_step=2),
     "half_cheetah": ExpertRecipe(steps=150_000),
     "walker2d": ExpertRecipe(steps=200_000),
     "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
