@@ -182,6 +182,7 @@ class Fitting:
         make_env: Callable[[torch.device], VectorEnv],
         steps: int,
         initial: AsymmetricSAC | PixelStatePredictor,
+        familiar: Sequence[Path] = (),
     ) -> AsymmetricSAC:
         """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor."""
         f = self.feeding
@@ -193,6 +194,8 @@ class Fitting:
             return module
 
         def feed(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
+            if familiar:
+                module.know(torch.from_numpy(FrameStacks(read_all(familiar), 1, labels="state").labels).to(device))
             env = make_env(device)
             buffer = ReplayBuffer(min(f.buffer_size, f.warmup_steps + steps), seed)
             warm_up = Experience(env, module, seed, random=fresh)
@@ -211,10 +214,13 @@ class Fitting:
 
         return self.stages.fit(step, name, build, feed, steps // f.num_envs)
 
-    def source_policy(self, steps: int, P_S: StatePredictor) -> AsymmetricSAC:
-        """π by SAC in the plain source: where everything starts, and the reference for direct transfer."""
+    def source_policy(self, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
+        """π by SAC in the plain source: where everything starts, and the reference for direct transfer.
+
+        ``source`` are the task-agnostic data, which tell π and its successors what states are familiar.
+        """
         make_env = lambda device: self.worlds.source(self.feeding.num_envs)  # noqa: E731
-        return self.policy(0, "source_policy", make_env, steps, P_S.P_S)
+        return self.policy(0, "source_policy", make_env, steps, P_S.P_S, source)
 
     def grounded_policy(
         self, step: int, steps: int, G: VisualTransformation, F: ActionTransformation | None, initial: AsymmetricSAC

@@ -75,7 +75,7 @@ class IterativeGrounding:
 
         D_S, D_T = [self.explore_source()], [self.explore_target()]
         P_S = self.fit.state_predictor(0, D_S, pretrain.state_predictor, None)
-        pi = self.fit.source_policy(self.schedule.source_policy, P_S)
+        pi = self.fit.source_policy(self.schedule.source_policy, P_S, D_S)
         self.evaluation.direct_transfer(pi)
 
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)

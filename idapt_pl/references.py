@@ -29,7 +29,7 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
 
     path, images = grounding.stages.record(0, "oracle", collect_labelled)
     predictor = fit.state_predictor(0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
-    policy = fit.policy(0, "oracle", make_env, steps, predictor.P_S)
+    policy = fit.policy(0, "oracle", make_env, steps, predictor.P_S, [path])
     worlds.ledger.enter(0, "oracle reference", images + steps + fit.feeding.warmup_steps)
     result = grounding.stages.measure(
         0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed)

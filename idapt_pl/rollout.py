@@ -170,7 +170,8 @@ class Experience:
             draw = random_policy(env, seed)
             self.act = lambda seen: draw(seen["observation"])
         obs, _ = env.reset(seed=seed)
-        self._state, self._seen = obs["state"], policy.remember(obs["pixels"])
+        self.perceive = policy.perception(env.num_envs, seed)
+        self._state, self._seen = obs["state"], self.perceive(policy.remember(obs["pixels"]))
         self._return = np.zeros(env.num_envs)
         self._finished: deque[float] = deque(maxlen=20)
 
@@ -180,11 +181,12 @@ class Experience:
         actions = self.act(seen)
         obs, rewards, terminations, truncations, infos = self.env.step(actions)
         done = terminations | truncations
-        self._state, self._seen = obs["state"], self.policy.remember(obs["pixels"])
-        next_state, next_seen = self._state, self._seen
+        last = infos.get("final_obs", obs)
+        next_state, next_seen = last["state"], self.perceive(self.policy.remember(last["pixels"]))
+        self._state, self._seen = obs["state"], next_seen
         if done.any():
-            next_state = infos["final_obs"]["state"]
-            next_seen = self.policy.remember(infos["final_obs"]["pixels"])
+            self.perceive.renew(done)
+            self._seen = self.perceive(self.policy.remember(obs["pixels"]))
         self._return += rewards
         self._finished.extend(self._return[done])
         self._return[done] = 0.0

@@ -6,6 +6,7 @@ move; here through the simulator rather than through two learned models, since t
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +17,10 @@ from mujoco import rollout
 from torch import Tensor
 
 from idapt_pl.tasks import Task
+
+log = logging.getLogger(__name__)
+CLEARLY_BETTER = 1.15
+"""A law is preferred to a simpler one if the simpler one leaves this many times as much on held-out episodes."""
 
 Act = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """(parameters (p,), states (n, state_dim), target actions (n, nu)) to source actions (n, nu)."""
@@ -28,6 +33,10 @@ class Sightings:
     qpos: np.ndarray
     actions: np.ndarray
     episode: np.ndarray
+
+    def part(self, rows: np.ndarray) -> Sightings:
+        """Some of the windows."""
+        return Sightings(self.qpos[rows], self.actions[rows], self.episode[rows])
 
 
 def windows(qpos: np.ndarray, actions: np.ndarray, first: np.ndarray, length: int, stride: int) -> Sightings:
@@ -81,25 +90,32 @@ class Matching:
             seen.append(x[:, 1 : 1 + m.nq])
         return np.stack(seen, 1).reshape(len(qpos), -1)
 
-    def fit(self, parameters: np.ndarray, ridge: float, iterations: int = 8) -> tuple[np.ndarray, float]:
-        """Gauss-Newton with Huber weights. Returns the parameters and the robust scale of what is left, m or rad."""
+    def fit(
+        self, parameters: np.ndarray, free: np.ndarray, ridge: float, iterations: int = 8
+    ) -> tuple[np.ndarray, float]:
+        """Gauss-Newton with Huber weights over the parameters with the indices ``free``; none scores them as they are.
+
+        Returns:
+            The parameters and the robust scale of what is left, m or rad.
+        """
         m, seen = self.model, self.seen
         n, nq = len(seen.qpos), m.nq
         qpos, qvel = seen.qpos[:, 0].copy(), (seen.qpos[:, 1] - seen.qpos[:, 0]) / self.dt
-        target, p, scale = seen.qpos.reshape(n, -1), parameters.astype(float), 1.0
+        target, p, scale = seen.qpos.reshape(n, -1), parameters.astype(float).copy(), 1.0
         for _ in range(iterations):
             base = self.replay(p, qpos, qvel)
             left = target - base
             steps = 1e-4 * np.eye(nq + m.nv)
             S = np.stack([(self.replay(p, qpos + s[:nq], qvel + s[nq:]) - base) / 1e-4 for s in steps], -1)
-            J = np.stack([(self.replay(p + s, qpos, qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))], -1)
+            J = [(self.replay(p + s, qpos, qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))[free]]
+            J = np.stack(J, -1) if J else np.zeros((*base.shape, 0))
             Q = np.linalg.qr(S)[0]
             r, K = (v - Q @ (Q.transpose(0, 2, 1) @ v) for v in (left[..., None], J))
             scale = 1.4826 * float(np.median(np.abs(r)))
             weight = 1.0 / np.maximum(1.0, np.abs(r) / (3 * scale)) / scale**2
-            A = np.einsum("nij,nik->jk", K * weight, K) + ridge * np.eye(len(p))
-            move = np.linalg.solve(A, np.einsum("nij,ni->j", K * weight, r[..., 0]) - ridge * p)
-            p = p + move
+            A = np.einsum("nij,nik->jk", K * weight, K) + ridge * np.eye(len(free))
+            move = np.linalg.solve(A, np.einsum("nij,ni->j", K * weight, r[..., 0]) - ridge * p[free])
+            p[free] += move
             start = np.einsum("nij,nj->ni", np.linalg.pinv(S), left - J @ move)
             qpos, qvel = qpos + np.clip(start[:, :nq], -0.05, 0.05), qvel + np.clip(start[:, nq:], -1.0, 1.0)
         return p, scale
@@ -139,9 +155,37 @@ def start_from_matching(
         return F.apply_residual(a, x @ weights[:, :-1].T + weights[:, -1]).double().numpy()
 
     seen = windows(states[:, : model.nq].numpy(), actions.numpy(), first, length, stride=max(1, length // 2))
-    size = F.affine.weight.numel() + nu
-    fitted, left = Matching(task, model, seen, law).fit(np.zeros(size), ridge)
+    sizes = model.nq, model.nv, nu
+    fitted, left = simplest_that_predicts(lambda part: Matching(task, model, part, law), seen, *sizes, ridge)
     weights = torch.from_numpy(fitted).float().view(nu, -1)
     F.affine.weight.copy_(weights[:, :-1])
     F.affine.bias.copy_(weights[:, -1])
     return left
+
+
+def simplest_that_predicts(
+    match: Callable[[Sightings], Matching], seen: Sightings, nq: int, nv: int, nu: int, ridge: float
+) -> tuple[np.ndarray, float]:
+    """Fit laws of the actions, of positions too, of velocities too; keep the simplest that predicts well.
+
+    Estimated velocities are noisy and, where things fall, proportional to positions; a law that may use both trades
+    one for the other, and is wrong wherever they part. What a law leaves is mostly systematic errors of the estimates,
+    which more coefficients explain a little of, on held-out episodes too: a larger law must be clearly better.
+
+    Returns:
+        Parameters (nu * (nq + nv + nu + 1),), refitted on all windows, and the robust scale of what is left, m or rad.
+    """
+    columns = np.arange(nu * (nq + nv + nu + 1)).reshape(nu, -1)
+    position, _, action = np.split(columns[:, :-1], [nq, nq + nv], 1)
+    base = np.concatenate([action, columns[:, -1:]], 1)
+    laws = [base, np.concatenate([base, position], 1), columns]
+    odd = np.unique(seen.episode, return_inverse=True)[1] % 2 == 1
+    if not odd.any():  # one long episode
+        odd[len(odd) // 2 :] = True
+    fit, held_out = match(seen.part(~odd)), match(seen.part(odd))
+    zero = np.zeros(columns.size)
+    fitted = [fit.fit(zero, law.ravel(), ridge)[0] for law in laws]
+    scores = [held_out.fit(p, np.zeros(0, int), ridge, 3)[1] for p in fitted]
+    best = next(i for i, score in enumerate(scores) if score <= CLEARLY_BETTER * min(scores))
+    log.info("what laws of actions, positions, velocities leave on held-out episodes: %s", np.round(scores, 6).tolist())
+    return match(seen).fit(fitted[best], laws[best].ravel(), ridge, 4)

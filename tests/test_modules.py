@@ -374,6 +374,22 @@ def test_sac_temperature_rises_while_the_policy_is_too_certain(trainer):
     assert module.log_alpha.exp() > 0.1
 
 
+def test_familiar_states_cost_nothing_and_unfamiliar_ones_up_to_the_whole_cost():
+    """Two states equally far from the mean: one along the data's spread, one across it."""
+    module = sac(unfamiliarity_cost=0.5, action_cost=0.2)
+    along = torch.linspace(-1, 1, 101)
+    module.know(torch.stack([along, along + 1e-2 * torch.sin(50 * along)], -1))
+    batch = {
+        "rewards": torch.ones(3),
+        "actions": torch.tensor([[0.0], [0.0], [3.0]]),
+        "next_state": torch.tensor([[0.0, 0.0], [0.1, -0.1], [0.1, 0.1]]),
+    }
+    at_mean, across, along_and_effort = module.shaped_rewards(batch).tolist()
+    assert at_mean == pytest.approx(1.0, abs=1e-4)
+    assert across == pytest.approx(0.5, abs=1e-3)
+    assert along_and_effort == pytest.approx(0.8 - 0.5 * (1 - np.exp(-0.5 * 0.1**2 / along.var().item())), abs=5e-3)
+
+
 def test_supervised_encoder_starts_as_the_state_predictor(fitted_P_S):
     P_S, pixels, *_ = fitted_P_S
     module = sac("supervised")

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
+from idapt_pl.misperception import Faithful
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.rollout import EXPLORATION, Experience, collect, evaluate, garat_rollout, random_policy
 
@@ -105,6 +106,9 @@ class Remembering:
 
     def remember(self, pixels):
         return {"observation": pixels}
+
+    def perception(self, num_envs, seed):
+        return Faithful()
 
     def act_on(self, seen):
         return push(self.force)(seen["observation"])

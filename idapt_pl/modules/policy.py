@@ -12,9 +12,10 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target, squashed_log_prob
+from idapt_pl.misperception import Faithful, Misperception
 from idapt_pl.modules.training import ManualModule, fast_precision
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision, orthogonal_init
-from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.images import jitter, stack_channels
 from idapt_pl.nets.mlp import mlp
 
 
@@ -93,8 +94,14 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: with ``supervised``, regression steps for each environment step.
         estimator_batch: with ``supervised``, observations in a regression step.
         lr_estimator: with ``supervised``, Adam.
+        estimator_jitter: with ``supervised``, how much contrast, brightness and noise of images vary in the regression.
+        misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
+            estimates have while training, new ones in every episode (:class:`~idapt_pl.misperception.Misperception`).
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
+        unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
+            state from the source's task-agnostic data. G has learned from such states; far from them, or where their
+            components go together differently, its images cannot be relied on.
         bf16: bfloat16 autocast in the encoder.
     """
 
@@ -121,7 +128,10 @@ class AsymmetricSAC(ManualModule):
         estimator_updates: float = 1.0,
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
+        estimator_jitter: float = 0.0,
+        misperception: float = 0.0,
         action_cost: float = 0.0,
+        unfamiliarity_cost: float = 0.0,
         bf16: bool = True,
     ) -> None:
         super().__init__()
@@ -134,6 +144,13 @@ class AsymmetricSAC(ManualModule):
         self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
         self.log_alpha = nn.Parameter(torch.tensor(float(np.log(temperature))))
         self.register_buffer("updates", torch.zeros((), dtype=torch.long))
+        self.register_buffer("familiar_mean", torch.zeros(state_dim))
+        self.register_buffer("familiar_precision", torch.eye(state_dim))
+
+    def know(self, states: Tensor) -> None:
+        """Take what is familiar from the states (n, state_dim) of the source's task-agnostic data."""
+        self.familiar_mean.copy_(states.mean(0))
+        self.familiar_precision.copy_(torch.linalg.pinv(torch.atleast_2d(states.T.cov()), hermitian=True))
 
     def start_from(self, predictor: PixelStatePredictor) -> None:
         """With a supervised encoder, start it as a copy of a fitted state predictor."""
@@ -156,6 +173,12 @@ class AsymmetricSAC(ManualModule):
         if self.hparams.encoder == "learned":
             return {"observation": pixels}
         return {"observation": self.encode(pixels).cpu().numpy(), "pixels": pixels}
+
+    def perception(self, num_envs: int, seed: int) -> Faithful:
+        """What becomes of f(o) on its way to the policy while it trains in ``num_envs`` simulations."""
+        if self.hparams.encoder == "learned" or not self.hparams.misperception:
+            return Faithful()
+        return Misperception(self.actor.encoder, num_envs, self.hparams.misperception, seed)
 
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
@@ -183,7 +206,8 @@ class AsymmetricSAC(ManualModule):
         """Regress f(o) on the standardised source state, L1."""
         f = self.actor.encoder
         with fast_precision(self.device, self.hparams.bf16):
-            loss = f.error(stack_channels(batch["pixels"]), batch["state"])
+            images = jitter(stack_channels(batch["pixels"]), self.hparams.estimator_jitter)
+            loss = f.error(images, batch["state"])
         self.descend(self.optimizers()[3], loss)
         return {"policy/state_error": loss.detach()}
 
@@ -199,9 +223,7 @@ class AsymmetricSAC(ManualModule):
         with torch.no_grad():
             action, log_prob = self.actor(self.features(batch["next_observation"]))
             next_q = self.critic_target(batch["next_state"], action).amin(0)
-            rewards = batch["rewards"] - self.hparams.action_cost * self.actor.normalise(
-                batch["actions"]
-            ).square().mean(-1)
+            rewards = self.shaped_rewards(batch)
             target = sac_target(
                 rewards, batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
             )
@@ -209,6 +231,14 @@ class AsymmetricSAC(ManualModule):
         loss = nnf.mse_loss(q, target.expand_as(q)) * 2
         self.descend(self.optimizers()[0], loss)
         return {"policy/critic_loss": loss.detach(), "policy/q": q.detach().mean()}
+
+    def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
+        """The source's rewards less what actions and unfamiliar states cost, (n,)."""
+        effort = self.actor.normalise(batch["actions"]).square().mean(-1)
+        off = batch["next_state"] - self.familiar_mean
+        unfamiliarity = 1 - torch.exp(-0.5 * torch.einsum("ni,ij,nj->n", off, self.familiar_precision, off))
+        w = self.hparams
+        return batch["rewards"] - w.action_cost * effort - w.unfamiliarity_cost * unfamiliarity
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Improve the actor on α log π - min Q, then the temperature."""

@@ -34,3 +34,18 @@ def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int) -> UInt8[Tensor, 
     tops, lefts = (torch.randint(n - size + 1, (b,)).tolist() for n in (h, w))
     windows = [p[:, t : t + size, s : s + size] for p, t, s in zip(pixels, tops, lefts, strict=True)]
     return torch.stack(windows)
+
+
+def jitter(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "b c h w"]:
+    """Another gain and offset for every channel of every image, and pixel noise; 0 leaves images as they are.
+
+    Args:
+        images: -1..1.
+        strength: gains within 1 ± strength, offsets within ± strength/2, noise of standard deviation up to strength/5.
+    """
+    if not strength:
+        return images
+    b, c = images.shape[:2]
+    gain, offset = (2 * torch.rand(2, b, c, 1, 1, device=images.device) - 1) * strength
+    noise = torch.randn_like(images) * torch.rand(b, 1, 1, 1, device=images.device) * strength / 5
+    return images * (1 + gain) + offset / 2 + noise
