@@ -114,7 +114,7 @@ EXAMPLES = [
     Material("floor", dm_control="grid"),
     Scenery("world", "interior", position=(1, 2, 0)),
     Renderer("world", "filament"),
-    ActuatorRotation("push", 0.5, partner="hold"),
+    ActuatorRotation("push hold", 0.5),
 ]
 
 
@@ -282,7 +282,7 @@ def test_color_shows_even_on_a_geom_that_had_a_material(nominal):
 
 
 def test_rotation_turns_the_first_command_towards_its_partner_and_leaves_the_others():
-    turn = ActuatorRotation("push", np.pi / 2, partner="hold")
+    turn = ActuatorRotation("push hold", np.pi / 2)
     domain = Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), (turn, ActuatorDeadzone("hold", 0.25)))
     actions = np.array([[1.0, 0.0], [0.0, 1.0]])
     np.testing.assert_allclose(domain.command(domain.compile(), actions), [[0, 0.75], [-1, 0]], atol=1e-12)

@@ -28,7 +28,7 @@ def test_comparison_reads_table_1_from_the_models():
 def test_what_mjcf_has_no_words_for_is_in_the_table_too():
     rows = grouped(comparison(make_task("fetch_reach")))
     turned = next(row for row in rows if row[0] == "actuator_rotation")
-    assert turned[1:3] == ("x", False) and "0.7854" in turned[3]["hard"]
+    assert turned[1:3] == ("x y", False) and "0.7854" in turned[3]["hard"]
 
 
 def test_command_writes_one_page_that_needs_no_other_file(tmp_path, capsys):

@@ -158,26 +158,32 @@ class ActuatorDeadzone(CommandEffect):
 
 @dataclass(frozen=True)
 class ActuatorRotation(CommandEffect):
-    """Two commands turned in their plane: a robot that is mounted askew. MJCF has no words for it.
+    """The plane of two commands is turned by an angle; target: the two actuators' names, or ``"*"`` for the first two.
 
-    The target is the first of the two and ``partner`` the second; a positive angle turns the first towards the second.
+    For an end effector that is commanded in Cartesian coordinates this is a base that stands askew; a quarter turn of
+    two motors is crossed wires. MJCF has no words for it.
     """
 
     name: ClassVar[str] = "actuator_rotation"
     in_mjcf: ClassVar[bool] = False
     angle: float = parameter("rad", -np.pi, np.pi)
-    partner: str = ""
 
     def columns(self, model: mujoco.MjModel) -> list[int]:
-        return [model.actuator(name).id for name in (self.target, self.partner)]
+        return [0, 1] if self.target == "*" else [model.actuator(name).id for name in self.target.split()]
 
     def law(self, values: np.ndarray) -> np.ndarray:
-        c, s = np.cos(self.angle), np.sin(self.angle)
-        return values @ np.array([[c, s], [-s, c]])
+        if values.shape[1] < 2:
+            return values
+        (u, v), turned = values[:, :2].T, values.copy()
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        turned[:, 0], turned[:, 1] = cosine * u - sine * v, sine * u + cosine * v
+        return turned
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for name in (self.target, self.partner):
+        for name in self.target.split() if self.target != "*" else ():
             elements(spec, "actuators", name)
+        if self.target != "*" and len(self.target.split()) != 2:
+            raise ValueError(f"actuator_rotation: target must name two actuators, got {self.target!r}")
 
 
 @dataclass(frozen=True)

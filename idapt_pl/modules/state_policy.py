@@ -49,11 +49,10 @@ class StateSAC(AsymmetricSAC):
         learn_temperature: bool = True,
         target_entropy: float | None = None,
         actor_every: int = 1,
-        action_cost: float = 0.0,
     ) -> None:
         super(AsymmetricSAC, self).__init__()  # its parts are other ones here
         self.save_hyperparameters()
-        self.hparams.update(encoder="states", bf16=False)
+        self.hparams.update(encoder="states", bf16=False, misperception=0.0)
         self.actor = ImageActor(Standardise(state_dim), action_low, action_high, hidden)
         self.critic = TwinCritic(state_dim, self.actor, hidden)
         self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
@@ -74,6 +73,9 @@ class StateSAC(AsymmetricSAC):
 
     def features(self, remembered: Tensor) -> Tensor:
         return self.actor.encoder(remembered)
+
+    def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
+        return batch["rewards"]
 
     def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         return super().critic_step(self._standardised(batch))

@@ -58,14 +58,14 @@ class FetchReach(Task):
 
         source = Domain("source", self.base, (camera(180, -35, 1.0),))
         easy = source.with_effects(
-            ActuatorRotation("x", np.deg2rad(30), "y"),
+            ActuatorRotation("x y", np.deg2rad(30)),
             camera(165, -35, 1.2),
             Material("floor0", dm_control="grid"),
             Color("table", (0.93, 0.93, 0.5, 1)),
             Light("lamp", (0.7, 0.7, 0.7), (0, 0, 0), (0.1, 0.1, 0.1)),
         )
         hard = source.with_effects(
-            ActuatorRotation("x", np.deg2rad(45), "y"),
+            ActuatorRotation("x y", np.deg2rad(45)),
             ActuatorBias("z", -0.5),
             CameraFrame(CAMERA, position=(2.0, 0.6, 1.2), xyaxes=(0.2, 1, 0, -0.9, 0, 1)),
             *indoors(robot=(0.6, 0.75, 0)),
