@@ -17,12 +17,14 @@ from pathlib import Path
 import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
 
 # isort: split
-from rendering import SIZES, TASK, rate, write_table
+from rendering import SIZES, rate, write_table
 
 from datamodules import UnpairedImages, write_trajectories
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.rollout import collect, random_policy
 from idapt_pl.tasks import make_task
+
+TASK = "inverted_pendulum"
 
 STEPS = 5000
 BATCHES = 100_000  # an epoch that no run exhausts

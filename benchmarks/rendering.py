@@ -1,11 +1,14 @@
 """How fast are frames rendered, and environments stepped?
 
-Run ``python benchmarks/rendering.py``; it prints a table and writes ``results/rendering.csv``. Rates are
-medians of several timed runs.
+    python benchmarks/rendering.py [--task half_cheetah ...]
+
+Prints a table and writes ``results/rendering.csv``. Rates are medians of several timed runs. Domains that Filament
+draws are measured with the classic renderer too.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import os
 import platform
@@ -23,12 +26,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from idapt_pl.domains.rendering import FrameRenderer
-from idapt_pl.envs import VectorImageEnv
+from idapt_pl.domains.filament import FilamentRenderer
+from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
+from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.rollout import random_policy
-from idapt_pl.tasks import make_task
+from idapt_pl.tasks import TASKS, make_task
 
-TASK = "inverted_pendulum"
 SIZES = (64, 100)
 RESULTS = Path(__file__).parents[1] / "results"
 
@@ -41,7 +44,7 @@ def machine() -> dict[str, str | int]:
     return {"cpu": models[0] if models else platform.machine(), "cores": os.cpu_count()}
 
 
-def rate(action: Callable[[], None], seconds: float = 1.0, runs: int = 5) -> float:
+def rate(action: Callable[[], None], seconds: float = 0.5, runs: int = 3) -> float:
     """Calls per second: the median of ``runs`` runs of about ``seconds`` each."""
     action()  # first calls allocate
     rates = []
@@ -67,36 +70,52 @@ def write_table(name: str, rows: list[dict]) -> None:
         writer.writerows(row | where for row in rows)
 
 
-def frames_per_second(domain: str, size: int) -> float:
-    """Frames/s of one renderer on still images."""
-    model = make_task(TASK).domain(domain).compile()
+def frames_per_second(task: str, domain: str, size: int) -> list[dict]:
+    """Frames/s of still images, for each renderer that the domain may be drawn by."""
+    model = make_task(task).domain(domain).compile()
     data = mujoco.MjData(model)
+    make_task(task).reset(model, data, np.random.default_rng(0))
     mujoco.mj_forward(model, data)
-    render, out = FrameRenderer(model, size), np.zeros((size, size, 3), np.uint8)
-    with closing(render):
-        return rate(lambda: render(data, out))
+    renderers = {"classic": FrameRenderer}
+    if engine_of(model) == "filament" and filament_is_used():
+        renderers["filament"] = FilamentRenderer
+    rows, out = [], np.zeros((size, size, 3), np.uint8)
+    for name, renderer in renderers.items():
+        with closing(renderer(model, size)) as render:
+            rows.append({"renderer": name, "per_second": rate(lambda render=render: render(data, out))})
+    return rows
 
 
-def steps_per_second(num_envs: int, size: int) -> float:
-    """Control steps/s of all simulations together, physics and images, random actions."""
-    task = make_task(TASK)
-    with closing(VectorImageEnv(task, task.domain("source"), num_envs, size)) as env:
-        policy = random_policy(env, seed=0)
-        obs, _ = env.reset(seed=0)
-        return num_envs * rate(lambda: env.step(policy(obs["pixels"])))
+def steps_per_second(env: VectorImageEnv) -> float:
+    """Control steps/s of all simulations together, with random actions."""
+    policy = random_policy(env, seed=0)
+    obs, _ = env.reset(seed=0)
+    return env.num_envs * rate(lambda: env.step(policy(obs["pixels"])))
+
+
+def measure(name: str) -> list[dict]:
+    """All rates of one task."""
+    task, rows = make_task(name), []
+    columns = {"task": name, "domain": "source", "image_size": 0, "num_envs": 1, "renderer": "none", "per_second": 0.0}
+    for size in SIZES:
+        for domain in ("source", "easy", "hard"):
+            what = {"what": "frames"} | columns | {"domain": domain, "image_size": size}
+            rows += [what | found for found in frames_per_second(name, domain, size)]
+    envs = [({"image_size": 0}, VectorStateEnv(task, task.domain("source"), 1))]
+    for num_envs in (1, 4, 16):
+        about = {"image_size": 64, "num_envs": num_envs, "renderer": "classic"}
+        envs.append((about, VectorImageEnv(task, task.domain("source"), num_envs, 64)))
+    for about, env in envs:
+        with closing(env):
+            rows.append({"what": "environment steps"} | columns | about | {"per_second": steps_per_second(env)})
+    return rows
 
 
 def main() -> None:
     """Measure everything."""
-    rows = []
-    for size in SIZES:
-        for domain in ("source", "easy", "hard"):
-            what = {"what": "frames", "domain": domain, "image_size": size, "num_envs": 1}
-            rows.append(what | {"per_second": frames_per_second(domain, size)})
-        for num_envs in (1, 4, 16):
-            what = {"what": "environment steps", "domain": "source", "image_size": size, "num_envs": num_envs}
-            rows.append(what | {"per_second": steps_per_second(num_envs, size)})
-    write_table("rendering", rows)
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS))
+    write_table("rendering", [row for name in p.parse_args().task for row in measure(name)])
 
 
 if __name__ == "__main__":

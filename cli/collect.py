@@ -1,20 +1,33 @@
-"""``idapt collect``: play a policy in a domain and write what happened to a trajectory file."""
+"""``idapt collect``: play policies in a domain and write what happened to a trajectory file.
+
+Policies: ``random`` (uniform actions), ``expert`` (trained on the task), ``backwards`` (paid for going the other way),
+or several joined by ``+``, which share the steps evenly. Experts are trained on states in the source, once, and kept.
+In a target too they act on the true state, as a person at the controls would; the file holds images and actions only.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import sys
 from contextlib import closing
 from pathlib import Path
 
+import lightning as L
 from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
-from datamodules import write_trajectories
+from cli.provenance import git_commit
+from datamodules import Trajectories, write_trajectories
+from datamodules.trajectories import content_hash
 from idapt_pl.envs import BlindTarget, VectorImageEnv
+from idapt_pl.experts import RECIPES, acting_on_states, expert_folder, train_expert
 from idapt_pl.ledger import Ledger
-from idapt_pl.rollout import collect, random_policy
-from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.rollout import Act, VectorEnv, collect, random_policy
+from idapt_pl.stage import Stages
+from idapt_pl.tasks import TASKS, Task, make_task
 
-POLICIES = ("random",)
+POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+expert")
 
 
 def main(args: list[str]) -> int:
@@ -26,24 +39,64 @@ def main(args: list[str]) -> int:
     p.add_argument("--steps", type=int, default=20_000, help="control steps")
     p.add_argument("--image-size", type=int, default=100, help="side of the images, pixels")
     p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--experts", type=Path, default=Path("runs/experts"), help="where trained policies are kept")
     p.add_argument("--out", type=Path, required=True, help="trajectory file to write (HDF5)")
     o = p.parse_args(args)
-    if o.steps < 1:
-        raise ValueError(f"--steps must be at least 1, got {o.steps}")
+    kinds = o.policy.split("+")
+    if o.steps < len(kinds):
+        raise ValueError(f"--steps must be at least {len(kinds)}, got {o.steps}")
     task = make_task(o.task)
+    checkpoints = {kind: expert(task, kind, o.seed, o.experts) for kind in kinds if kind != "random"}
     env = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
     if o.domain != "source":  # a target shows images and actions, whoever records it
         env = BlindTarget(env, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
+    parts: list[Trajectories] = []
     with closing(env), tqdm(total=o.steps, unit="step", disable=not show_bar()) as bar:
-        policy = random_policy(env, o.seed)
-
-        def act(pixels):
-            bar.update(env.num_envs)
-            return policy(pixels)
-
-        trajectories = collect(
-            env, act, o.steps, o.seed, f"idapt collect: {o.task} {o.domain} {o.policy} seed {o.seed}"
-        )
+        for i, kind in enumerate(kinds):
+            policy = acting_on_states(checkpoints[kind][0], env) if kind in checkpoints else random_policy(env, o.seed)
+            share = o.steps * (i + 1) // len(kinds) - o.steps * i // len(kinds)
+            L.seed_everything(o.seed, verbose=False)  # experts draw their actions
+            parts.append(collect(env, counted(policy, bar, env), share, o.seed + i, ""))
+    episodes = tuple(episode for part in parts for episode in part)
+    told = {"made_by": "idapt collect", "task": o.task, "domain": o.domain, "policy": o.policy, "seed": o.seed}
+    told |= {"commit": git_commit(), "experts_sha256": {kind: digest for kind, (_, digest) in checkpoints.items()}}
+    told["content_sha256"] = content_hash(episodes)
+    trajectories = Trajectories(episodes, parts[0].dt, json.dumps(told))
     write_trajectories(o.out, trajectories)
     print(f"{o.out}: {len(trajectories)} episodes, {trajectories.total_steps} steps, dt {trajectories.dt:g} s")
+    print(f"sha256 of its content {told['content_sha256']}")
     return 0
+
+
+def counted(policy: Act, bar: tqdm, env: VectorEnv) -> Act:
+    """The policy, moving the bar with every action."""
+
+    def act(pixels):
+        bar.update(env.num_envs)
+        return policy(pixels)
+
+    return act
+
+
+def expert(task: Task, kind: str, seed: int, cache: Path):
+    """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
+    trained = task.backwards() if kind == "backwards" else task
+    stages = Stages(expert_folder(cache, task, kind, seed), seed, plain_trainer)
+    policy = train_expert(trained, task.domain("source"), RECIPES[task.name], stages, "policy")
+    checkpoint = stages.folder(0) / "policy" / "final.ckpt"
+    return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+
+
+def plain_trainer(folder: Path, batches: int) -> L.Trainer:
+    """A Trainer for small nets, outside a run of Algorithm 1: on the CPU, metrics to a CSV file."""
+    return L.Trainer(
+        default_root_dir=str(folder),
+        accelerator="cpu",
+        logger=L.pytorch.loggers.CSVLogger(folder, name="", version=""),
+        max_epochs=1,
+        limit_train_batches=batches,
+        log_every_n_steps=max(1, batches // 250),
+        enable_progress_bar=sys.stderr.isatty(),
+        enable_checkpointing=False,
+        enable_model_summary=False,
+    )

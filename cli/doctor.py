@@ -70,7 +70,7 @@ def main(args: list[str]) -> int:
     if renders:  # one backend is enough
         rendering = [c if c.status == "ok" else replace(c, status="warn") for c in rendering]
     software = [check_python(), *check_packages(), check_torchvision()]
-    checks = [*software, *rendering, check_gpu(), check_threads(), check_disk()]
+    checks = [*software, *rendering, check_filament(), check_gpu(), check_threads(), check_disk()]
     if o.json:
         print(json.dumps([asdict(c) for c in checks], indent=2))
     else:
@@ -135,6 +135,16 @@ def check_rendering(backend: str) -> Check:
     last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
     why = last.partition("RenderingUnavailable: ")[2].partition(". Install")[0] or last
     return Check(name, "fail", why, f"{GL_CURE}; or set MUJOCO_GL to one that works")
+
+
+def check_filament() -> Check:
+    """Whether the hard manipulation domains can be drawn by Filament."""
+    from idapt_pl.domains import filament
+
+    why, name = filament.why_unavailable(), "rendering by Filament (fetch_reach and sawyer_push, hard)"
+    if why is None:
+        return Check(name, "ok", "there is a Vulkan device")
+    return Check(name, "warn", f"{why}; the classic renderer stands in", filament.CURE)
 
 
 def check_gpu() -> Check:

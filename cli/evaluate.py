@@ -41,7 +41,7 @@ def main(args: list[str]) -> int:
         return 0
     print(f"{'policy':<28}{'target':>18}{'plain source':>18}")
     for name, r in result["policies"].items():
-        cells = [f"{r[d]['mean']:.1f} ± {r[d]['std']:.1f}" if d in r else "-" for d in ("target", "source")]
+        cells = [f"{r[d]['mean']:.2f} ± {r[d]['std']:.2f}" if d in r else "-" for d in ("target", "source")]
         print(f"{name:<28}{cells[0]:>18}{cells[1]:>18}")
     return 0
 
@@ -67,7 +67,8 @@ def measure(grounding: IterativeGrounding, episodes: int, seed: int) -> dict[str
 
 def as_dict(r: Returns) -> dict:
     """JSON form of returns."""
-    return {"mean": r.mean, "std": r.std, "returns": list(r.returns), "interactions": r.interactions}
+    values = {"returns": list(r.returns), "successes": list(r.successes)}
+    return {"mean": r.mean, "std": r.std, **values, "interactions": r.interactions}
 
 
 def policies(grounding: IterativeGrounding) -> list[tuple[str, Path]]:

@@ -13,6 +13,7 @@ import warnings
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
     "collect": "write a trajectory file from a task, domain and policy",
+    "gallery": "pictures of all tasks and domains, and a table of what differs",
     "evaluate": "target and source returns of a finished run",
     "diagnose": "find the physical effects that a model lacks, from recordings",
     "import": "turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file",

@@ -12,6 +12,7 @@ import torch
 import yaml
 from jsonargparse import ArgumentParser, Namespace
 
+from idapt_pl.domains.rendering import filament_is_used
 from idapt_pl.files import write_atomically, write_json
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
@@ -42,6 +43,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
             "cpu": cpu_model(),
             "cpu_threads": torch.get_num_threads(),
             "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+            "filament": filament_is_used(),
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
         },
     )

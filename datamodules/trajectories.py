@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -87,6 +88,16 @@ class Trajectories:
 
     def __add__(self, other: Trajectories) -> Trajectories:
         return Trajectories(self.episodes + other.episodes, self.dt, self.source)
+
+
+def content_hash(episodes: Iterable[Episode]) -> str:
+    """SHA-256 of all actions and observations, in order: the same data, the same hash, however it is stored."""
+    digest = hashlib.sha256()
+    for episode in episodes:
+        for array in (episode.actions, *(episode.observations[name] for name in sorted(episode.observations))):
+            digest.update(f"{array.dtype}{array.shape}".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:

@@ -38,7 +38,7 @@ class Evaluation:
         self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
 
     def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
-        """Return of a policy in the target, acting with its mean."""
+        """Return (or success) of a policy in the target, acting with its mean."""
         env = self.worlds.rewarded_target(min(self.episodes, 25))
         with closing(env):
             result = evaluate(env, deterministic(policy), self.episodes, seed)
@@ -46,6 +46,7 @@ class Evaluation:
             "mean": result.mean,
             "std": result.std,
             "returns": list(result.returns),
+            "successes": list(result.successes),
             "interactions": result.interactions,
         }
 
@@ -231,7 +232,7 @@ def paired_stacks(
     sources, targets, states, history = [], [], [], []
     fresh = True
     for _ in range(steps):
-        frame = twin.set_state(0, data.qpos, data.qvel)
+        frame = twin.show(0, data)
         history = [frame] * worlds.frame_stack if fresh else [*history[1:], frame]
         sources.append(obs["source_pixels"][0])
         targets.append(np.stack(history))

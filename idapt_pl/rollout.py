@@ -107,18 +107,23 @@ class _EpisodeBuilder:
 
 @dataclass(frozen=True)
 class Returns:
-    """Undiscounted returns of whole episodes; ``interactions`` is what they cost."""
+    """Undiscounted returns of whole episodes; ``interactions`` is what they cost.
+
+    ``successes`` says for each episode whether its goal was reached at any time, for tasks whose metric is success;
+    the mean and spread are then of that, else of the returns.
+    """
 
     returns: tuple[float, ...]
     interactions: int
+    successes: tuple[bool, ...] = ()
 
     @property
     def mean(self) -> float:
-        return float(np.mean(self.returns))
+        return float(np.mean(self.successes or self.returns))
 
     @property
     def std(self) -> float:
-        return float(np.std(self.returns))
+        return float(np.std(self.successes or self.returns))
 
 
 def evaluate(env: VectorEnv, act: Act, episodes: int, seed: int) -> Returns:
@@ -127,19 +132,23 @@ def evaluate(env: VectorEnv, act: Act, episodes: int, seed: int) -> Returns:
     The only function that reads a reward of the target; nothing that trains or selects calls it.
     """
     returns: list[float] = []
+    successes: list[bool] = []
     interactions = 0
     while len(returns) < episodes:
         obs, _ = env.reset(seed=seed + len(returns))
         playing = np.arange(env.num_envs) < episodes - len(returns)
-        total = np.zeros(env.num_envs)
+        total, reached = np.zeros(env.num_envs), np.zeros(env.num_envs, bool)
         chosen = playing.copy()
         while playing.any():
-            obs, rewards, terminations, truncations, _ = env.step(act(obs["pixels"]))
+            obs, rewards, terminations, truncations, infos = env.step(act(obs["pixels"]))
             total += rewards * playing
+            reached |= infos.get("success", reached) & playing
             interactions += int(playing.sum())
             playing &= ~(terminations | truncations)
         returns.extend(total[chosen])
-    return Returns(tuple(map(float, returns)), interactions)
+        if "success" in infos:
+            successes.extend(reached[chosen])
+    return Returns(tuple(map(float, returns)), interactions, tuple(map(bool, successes)))
 
 
 class Experience:

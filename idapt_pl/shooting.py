@@ -73,20 +73,19 @@ class Matching:
     def __init__(self, task: Task, model: mujoco.MjModel, seen: Sightings, act: Act) -> None:
         self.task, self.model, self.seen, self.act = task, model, seen, act
         self.data = [mujoco.MjData(model) for _ in range(2)]
-        self.dt = model.opt.timestep * task.frame_skip
+        self.dt = task.period(model)
 
     def replay(self, parameters: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Positions along every window, (n, (H+1) nq)."""
         m = self.model
         low, high = m.actuator_ctrlrange.T
+        substeps = self.task.frame_skip * self.task.action_repeat
         x = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], 1)
         seen = [qpos]
         for j in range(self.seen.actions.shape[1]):
             states = x[:, 1 : 1 + m.nq + m.nv]
             u = np.clip(self.act(parameters, states, self.seen.actions[:, j]), low, high)
-            after, _ = rollout.rollout(
-                m, self.data, x, np.repeat(u[:, None], self.task.frame_skip, 1), persistent_pool=True
-            )
+            after, _ = rollout.rollout(m, self.data, x, np.repeat(u[:, None], substeps, 1), persistent_pool=True)
             x = after[:, -1]
             seen.append(x[:, 1 : 1 + m.nq])
         return np.stack(seen, 1).reshape(len(qpos), -1)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
+
+os.environ["IDAPT_RENDERER"] = "classic"  # fast, and on every machine the same; Filament has tests of its own
 
 import idapt_pl  # isort: skip  # sets the GL backend, and prepares torchvision, before mujoco and Lightning load
 import lightning as L

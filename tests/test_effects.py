@@ -28,12 +28,23 @@ from idapt_pl.domains.effects import (
     Numerics,
     Payload,
 )
-from idapt_pl.domains.looks import CameraPose, Color, Light, Texture, orbit_axes
+from idapt_pl.domains.looks import (
+    CameraFrame,
+    CameraPose,
+    Color,
+    Light,
+    Material,
+    Renderer,
+    Scenery,
+    Texture,
+    orbit_axes,
+)
 from idapt_pl.domains.paths import (
     ActuatorBias,
     ActuatorDeadzone,
     ActuatorDelay,
     ActuatorLag,
+    ActuatorRotation,
     ActuatorSaturation,
     ExternalForce,
     ForceEffect,
@@ -98,7 +109,12 @@ EXAMPLES = [
     CameraPose("view", azimuth=90, elevation=-45, distance=2, lookat=(0, 0, 1), fovy=30),
     Light("headlight", diffuse=(0.1, 0.2, 0.3), ambient=(0, 0, 0.5)),
     Color("box", (0.1, 0.2, 0.3, 1)),
-    Texture("sky", flat=(0.2, 0.3, 0.4)),
+    CameraFrame("view", (0, -2, 1), xyaxes=(1, 0, 0, 0, 0, 1)),
+    Texture("sky", flat=(0.2, 0.3, 0.4), fade_to=(0, 0, 0)),
+    Material("floor", dm_control="grid"),
+    Scenery("world", "interior", position=(1, 2, 0)),
+    Renderer("world", "filament"),
+    ActuatorRotation("push hold", 0.5),
 ]
 
 
@@ -137,7 +153,7 @@ def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nomin
     same_options = all(getattr(once.opt, n) == getattr(nominal.opt, n) for n in names)
     same_options &= once.opt.gravity.tolist() == nominal.opt.gravity.tolist()
     differs = bool(changed(nominal, once)) or headlight != nominal_headlight or not same_options
-    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | SensorDelay)
+    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | ActuatorRotation | SensorDelay)
     assert differs != beyond_mjcf, "an effect edits the MJCF, or is one that MJCF has no words for"
 
 
@@ -263,6 +279,36 @@ def test_color_shows_even_on_a_geom_that_had_a_material(nominal):
     np.testing.assert_allclose(model.geom("box").rgba, [0.1, 0.2, 0.3, 1], rtol=1e-6)
     assert model.geom("box").matid[0] == -1
     assert changed(nominal, model) <= {"geom_rgba", "geom_matid"}
+
+
+def test_rotation_turns_the_first_command_towards_its_partner_and_leaves_the_others():
+    turn = ActuatorRotation("push hold", np.pi / 2)
+    domain = Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), (turn, ActuatorDeadzone("hold", 0.25)))
+    actions = np.array([[1.0, 0.0], [0.0, 1.0]])
+    np.testing.assert_allclose(domain.command(domain.compile(), actions), [[0, 0.75], [-1, 0]], atol=1e-12)
+    np.testing.assert_array_equal(actions, [[1, 0], [0, 1]])
+
+
+def test_camera_frame_is_the_same_from_axes_and_from_a_quaternion(nominal):
+    axes = compiled(CameraFrame("view", (0, -2, 1), xyaxes=(0, 1, 0, 0, 0, 1)))
+    quat = compiled(CameraFrame("view", (0, -2, 1), quat=tuple(axes.camera("view").quat)))
+    np.testing.assert_allclose(quat.camera("view").quat, axes.camera("view").quat, atol=1e-12)
+    with pytest.raises(ValueError, match="give either xyaxes or quat"):
+        compiled(CameraFrame("view", (0, -2, 1)))
+
+
+def test_nothing_in_a_room_can_be_touched_and_its_robot_stands_where_asked(nominal):
+    model = compiled(Scenery("world", "interior", position=(1, 2, 0)))
+    assert model.ngeom > nominal.ngeom + 20 and model.nv == nominal.nv
+    for i in range(model.ngeom):
+        if model.geom(i).name.startswith("interior/"):
+            assert model.geom_contype[i] == model.geom_conaffinity[i] == 0
+    np.testing.assert_allclose(model.geom("interior/boards").pos[:2], (1, 2))
+
+
+def test_material_that_dm_control_lacks_is_an_error_that_lists_those_it_has():
+    with pytest.raises(ValueError, match=r"no material 'gird'; there are: grid, self"):
+        compiled(Material("floor", dm_control="gird"))
 
 
 def test_texture_paints_the_sky_once_even_if_applied_twice():

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.domains.effects import Effect
+from idapt_pl.domains.paths import CommandEffect
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,25 @@ class Domain:
         """The same domain with more effects."""
         return Domain(self.name, self.base, (*self.effects, *effects))
 
+    def named(self, name: str) -> Domain:
+        """The same domain by another name."""
+        return Domain(name, self.base, self.effects)
+
     def spec(self) -> mujoco.MjSpec:
         """The base model with all effects applied."""
         spec = self.base()
         for effect in self.effects:
             effect.apply(spec)
         return spec
+
+    def command(self, model: mujoco.MjModel, actions: np.ndarray) -> np.ndarray:
+        """What effects that MJCF has no words for make of actions (n, nu), in their order."""
+        for effect in self.effects:
+            if isinstance(effect, CommandEffect) and not effect.in_mjcf:
+                columns = effect.columns(model)
+                actions = actions.copy()
+                actions[:, columns] = effect.law(actions[:, columns])
+        return actions
 
     def compile(self, view: View = WHOLE) -> mujoco.MjModel:
         """The compiled model, with rendering sized for small images.

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.domains.effects import Effect, elements, parameter
+from idapt_pl.domains.packaged import packaged_file
 
 CAMERA = "view"
 """Name of the camera that every task defines and every image is taken with."""
@@ -49,10 +50,32 @@ class CameraPose(Effect):
 
 
 @dataclass(frozen=True)
+class CameraFrame(Effect):
+    """Where the camera stands, in its body's frame: a position, and MJCF's ``xyaxes`` (right and up) or ``quat``."""
+
+    name: ClassVar[str] = "camera_frame"
+    position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
+    xyaxes: tuple[float, float, float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
+    quat: tuple[float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
+    fovy: float = 45.0
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if (self.xyaxes is None) == (self.quat is None):
+            raise ValueError(f"camera_frame on {self.target!r}: give either xyaxes or quat")
+        for camera in elements(spec, "cameras", self.target):
+            camera.pos, camera.fovy = self.position, self.fovy
+            if self.quat is not None:
+                camera.alt.type, camera.quat = mujoco.mjtOrientation.mjORIENTATION_QUAT, self.quat
+            else:
+                camera.alt.type, camera.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, self.xyaxes
+
+
+@dataclass(frozen=True)
 class Light(Effect):
     """Light colours. Target ``"headlight"`` is the light at the camera; any other name is a lamp.
 
-    A lamp that the model lacks is added, at ``position``, shining straight down.
+    A lamp that the model lacks is added, at ``position``, shining straight down or in ``direction``. ``kind`` is
+    ``"spot"``, a cone from that position, or ``"directional"``.
     """
 
     name: ClassVar[str] = "light"
@@ -60,17 +83,26 @@ class Light(Effect):
     ambient: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     specular: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     position: tuple[float, float, float] | None = None
+    direction: tuple[float, float, float] | None = None
+    kind: str | None = None
 
     def apply(self, spec: mujoco.MjSpec) -> None:
+        kinds = {"spot": mujoco.mjtLightType.mjLIGHT_SPOT, "directional": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL}
+        if self.kind is not None and self.kind not in kinds:
+            raise ValueError(f"light: kind must be one of {', '.join(kinds)}, got {self.kind!r}")
         light: Any = spec.visual.headlight if self.target == "headlight" else self._lamp(spec)
         for channel in ("diffuse", "ambient", "specular"):
             if getattr(self, channel) is not None:
                 setattr(light, channel, getattr(self, channel))
+        if self.kind is not None:
+            light.type = kinds[self.kind]
 
     def _lamp(self, spec: mujoco.MjSpec) -> Any:
         lamp = spec.light(self.target) or spec.worldbody.add_light(name=self.target, dir=[0, 0, -1])
         if self.position is not None:
             lamp.pos = self.position
+        if self.direction is not None:
+            lamp.dir = self.direction
         return lamp
 
 
@@ -88,11 +120,63 @@ class Color(Effect):
 
 
 @dataclass(frozen=True)
+class Material(Effect):
+    """What a geom is painted with: a material of dm_control's suite, or a picture that metaworld ships."""
+
+    name: ClassVar[str] = "material"
+    dm_control: str | None = None  # in dm_control/suite/common/materials.xml, for example grid
+    picture: str | None = None  # in metaworld/assets/textures, for example wood2.png
+    repeat: tuple[float, float] = parameter("1", 0.0, 1e4, default=(1.0, 1.0))  # of a picture
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if (self.dm_control is None) == (self.picture is None):
+            raise ValueError(f"material on {self.target!r}: give either dm_control or picture")
+        name = self.dm_control or self.picture
+        if spec.material(name) is None:
+            copy_material(dm_control_assets("materials.xml"), spec, name) if self.dm_control else self._add(spec, name)
+        for geom in elements(spec, "geoms", self.target):
+            geom.material = name
+            geom.rgba = (0.5, 0.5, 0.5, 1)  # MJCF's default: the material's own colour counts
+
+    def _add(self, spec: mujoco.MjSpec, name: str) -> None:
+        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_CUBE, file=picture_file(name))
+        material = spec.add_material(name=name, texrepeat=self.repeat, specular=0.2)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def picture_file(name: str) -> str:
+    """Path of one of the pictures that metaworld ships."""
+    return str(packaged_file("metaworld", f"assets/textures/{name}"))
+
+
+def dm_control_assets(file: str) -> mujoco.MjSpec:
+    """One of the files of assets that dm_control's suite shares."""
+    return mujoco.MjSpec.from_string((importlib.resources.files("dm_control") / "suite/common" / file).read_text())
+
+
+def copy_material(source: mujoco.MjSpec, spec: mujoco.MjSpec, name: str) -> None:
+    """Copy a material and its procedural texture from one model to another."""
+    material = source.material(name)
+    if material is None:
+        raise ValueError(f"there is no material {name!r}; there are: {', '.join(m.name for m in source.materials)}")
+    new = spec.add_material(name=name)
+    for k in ("rgba", "emission", "specular", "shininess", "reflectance", "texrepeat", "texuniform", "textures"):
+        setattr(new, k, getattr(material, k))
+    for texture in filter(None, material.textures):
+        old = source.texture(texture)
+        settings = {
+            k: getattr(old, k) for k in ("type", "builtin", "rgb1", "rgb2", "mark", "markrgb", "width", "height")
+        }
+        spec.add_texture(name=texture, **settings)
+
+
+@dataclass(frozen=True)
 class Texture(Effect):
-    """What is painted on the sky: one flat colour, or a dm_control skybox. Target is ``"sky"``."""
+    """What is painted on the sky: one colour, or a fading one, or a dm_control skybox. Target is ``"sky"``."""
 
     name: ClassVar[str] = "texture"
     flat: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
+    fade_to: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     dm_control: str | None = None  # file in dm_control/suite/common, for example skybox.xml
 
     def apply(self, spec: mujoco.MjSpec) -> None:
@@ -101,9 +185,45 @@ class Texture(Effect):
         for old in [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]:
             spec.delete(old)
         if self.dm_control is not None:
-            common = importlib.resources.files("dm_control") / "suite" / "common" / self.dm_control
-            sky = mujoco.MjSpec.from_string(common.read_text()).textures[0]
+            sky = dm_control_assets(self.dm_control).textures[0]
             settings = {k: getattr(sky, k) for k in ("builtin", "rgb1", "rgb2", "mark", "markrgb", "random")}
         else:
-            settings = {"builtin": mujoco.mjtBuiltin.mjBUILTIN_FLAT, "rgb1": self.flat, "rgb2": self.flat}
+            kind = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT if self.fade_to else mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            settings = {"builtin": kind, "rgb1": self.flat, "rgb2": self.fade_to or self.flat}
         spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536, **settings)
+
+
+@dataclass(frozen=True)
+class Scenery(Effect):
+    """A furnished room around the robot. It is seen and touches nothing. Target is ``"world"``.
+
+    The room is an MJCF file in ``idapt_pl/domains/scenery``; its pictures are metaworld's.
+    """
+
+    name: ClassVar[str] = "scenery"
+    room: str = "interior"
+    position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        rooms = importlib.resources.files("idapt_pl.domains") / "scenery"
+        room = mujoco.MjSpec.from_string((rooms / f"{self.room}.xml").read_text())
+        for texture in room.textures:
+            texture.file = picture_file(texture.file)
+        spec.attach(room, prefix=f"{self.room}/", frame=spec.worldbody.add_frame(pos=self.position))
+
+
+ENGINE = "renderer"
+"""Name of the model's text that says what draws it."""
+
+
+@dataclass(frozen=True)
+class Renderer(Effect):
+    """What draws the images: ``filament``, or MuJoCo's ``classic`` renderer, the default. Target is ``"world"``."""
+
+    name: ClassVar[str] = "renderer"
+    engine: str = "classic"
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.engine not in ("classic", "filament"):
+            raise ValueError(f"renderer: engine must be classic or filament, got {self.engine!r}")
+        spec.add_text(name=ENGINE, data=self.engine)

@@ -26,7 +26,17 @@ class Command:
 
 @dataclass(frozen=True)
 class CommandEffect(Effect):
-    """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``."""
+    """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``.
+
+    Attributes:
+        in_mjcf: whether ``apply`` writes it into the model; if not, environments put commands through ``law``.
+    """
+
+    in_mjcf: ClassVar[bool] = True
+
+    def columns(self, model: mujoco.MjModel) -> list[int]:
+        """The commands that ``law`` takes and gives, as columns of ``data.ctrl``."""
+        return [i for i in range(model.nu) if self.target in ("*", model.actuator(i).name)]
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
         """What arrives of a command. ``columns`` are the actuators meant, ``step`` the simulation's time step [s]."""
@@ -139,10 +149,41 @@ class ActuatorDeadzone(CommandEffect):
     """Commands smaller than the width do nothing; larger ones lose it. MJCF has no words for it."""
 
     name: ClassVar[str] = "actuator_deadzone"
+    in_mjcf: ClassVar[bool] = False
     width: float = parameter("command", 0.0, 1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.sign(values) * np.maximum(np.abs(values) - self.width, 0.0)
+
+
+@dataclass(frozen=True)
+class ActuatorRotation(CommandEffect):
+    """The plane of two commands is turned by an angle; target: the two actuators' names, or ``"*"`` for the first two.
+
+    For an end effector that is commanded in Cartesian coordinates this is a base that stands askew; a quarter turn of
+    two motors is crossed wires. MJCF has no words for it.
+    """
+
+    name: ClassVar[str] = "actuator_rotation"
+    in_mjcf: ClassVar[bool] = False
+    angle: float = parameter("rad", -np.pi, np.pi)
+
+    def columns(self, model: mujoco.MjModel) -> list[int]:
+        return [0, 1] if self.target == "*" else [model.actuator(name).id for name in self.target.split()]
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        if values.shape[1] < 2:
+            return values
+        (u, v), turned = values[:, :2].T, values.copy()
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        turned[:, 0], turned[:, 1] = cosine * u - sine * v, sine * u + cosine * v
+        return turned
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for name in self.target.split() if self.target != "*" else ():
+            elements(spec, "actuators", name)
+        if self.target != "*" and len(self.target.split()) != 2:
+            raise ValueError(f"actuator_rotation: target must name two actuators, got {self.target!r}")
 
 
 @dataclass(frozen=True)

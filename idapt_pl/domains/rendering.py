@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import atexit
+import functools
+import logging
 import os
 import weakref
 from typing import ClassVar
@@ -10,11 +12,46 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains.looks import CAMERA
+from idapt_pl.domains import filament
+from idapt_pl.domains.looks import CAMERA, ENGINE
+
+log = logging.getLogger(__name__)
 
 
 class RenderingUnavailable(RuntimeError):
     """No OpenGL context could be made; the message says what to install."""
+
+
+def make_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filament.FilamentRenderer:
+    """The renderer that a model asks for, or the classic one where there is no Vulkan for Filament.
+
+    ``IDAPT_RENDERER=classic`` in the environment asks for the classic one everywhere: it is many times faster.
+    """
+    if engine_of(model) == "filament":
+        if filament_is_used():
+            return filament.FilamentRenderer(model, size)
+        why = filament.why_unavailable() or "IDAPT_RENDERER=classic"
+        _warn_once(f"{why}: the classic renderer draws what Filament should. {filament.CURE}")
+    return FrameRenderer(model, size)
+
+
+def filament_is_used() -> bool:
+    """Whether models that ask for Filament get it on this machine."""
+    return os.environ.get("IDAPT_RENDERER") != "classic" and filament.why_unavailable() is None
+
+
+def engine_of(model: mujoco.MjModel) -> str:
+    """What a model asks to be drawn by: ``classic`` unless it says otherwise."""
+    i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, ENGINE)
+    if i < 0:
+        return "classic"
+    start = model.text_adr[i]
+    return bytes(model.text_data[start : start + model.text_size[i] - 1]).decode()
+
+
+@functools.cache
+def _warn_once(message: str) -> None:
+    log.warning(message)
 
 
 class FrameRenderer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -11,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from idapt_pl.domains import WHOLE, Domain, View
-from idapt_pl.domains.rendering import FrameRenderer
+from idapt_pl.domains.rendering import make_renderer
 from idapt_pl.tasks import Task
 
 
@@ -20,7 +21,8 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
 
     Observations: ``pixels`` uint8 (n, K, H, W, 3), the last K frames, oldest first; ``state`` float32
     (n, state_dim). Actions: float32 (n, nu) in the actuators' units, clipped to ``ctrlrange``.
-    A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``.
+    A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``. Where the task's
+    metric is success, ``infos["success"]`` is bool (n,), as of before that reset.
 
     Args:
         task: the task.
@@ -44,7 +46,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        self._render = FrameRenderer(self.model, image_size)
+        self._render = self._make_renderer(image_size)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
@@ -64,7 +66,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
     @property
     def dt(self) -> float:
         """Control period, s."""
-        return self.model.opt.timestep * self.task.frame_skip
+        return self.task.period(self.model)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         if seed is not None:
@@ -75,23 +77,28 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
 
     def step(self, actions: np.ndarray):
         actions = np.clip(actions, self.action_space.low, self.action_space.high)
+        actions = self.domain.command(self.model, actions)
         rewards = np.zeros(self.num_envs)
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
-            data.ctrl[:] = actions[i]
-            mujoco.mj_step(self.model, data, self.task.frame_skip)
-            rewards[i], terminations[i] = self.task.outcome(self.model, data, actions[i])
-            self._frames[i, :-1] = self._frames[i, 1:]
-            self._render(data, out=self._frames[i, -1])
+            rewards[i], terminations[i] = self.task.step(self.model, data, actions[i])
+            self._look(i)
         self._elapsed += 1
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
         infos: dict[str, Any] = {}
+        if self.task.metric == "success":
+            infos["success"] = np.array([self.task.success(self.model, data) for data in self.data])
         if done.any():
-            infos = {"final_obs": self._observe(), "_final_obs": done}
+            infos |= {"final_obs": self._observe(), "_final_obs": done}
             for i in np.flatnonzero(done):
                 self._reset_one(i)
         return self._observe(), rewards, terminations, truncations, infos
+
+    def show(self, i: int, other: mujoco.MjData) -> np.ndarray:
+        """Put simulation ``i`` into the state of another domain's. Returns its frame; for paired evaluation only."""
+        self.data[i].mocap_pos[:], self.data[i].mocap_quat[:] = other.mocap_pos, other.mocap_quat
+        return self.set_state(i, other.qpos, other.qvel)
 
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""
@@ -108,7 +115,18 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self.task.reset(self.model, self.data[i], self._rng)
         mujoco.mj_forward(self.model, self.data[i])
         self._elapsed[i] = 0
-        self._frames[i] = self._render(self.data[i])
+        self._look(i, fresh=True)
+
+    def _make_renderer(self, size: int) -> Callable[..., np.ndarray]:
+        return make_renderer(self.model, size)
+
+    def _look(self, i: int, fresh: bool = False) -> None:
+        """Take the newest frame; the first of an episode fills the whole stack."""
+        if fresh:
+            self._frames[i] = self._render(self.data[i])
+        else:
+            self._frames[i, :-1] = self._frames[i, 1:]
+            self._render(self.data[i], out=self._frames[i, -1])
 
     def _observe(self) -> dict[str, np.ndarray]:
         states = [self.task.state(self.model, data) for data in self.data]

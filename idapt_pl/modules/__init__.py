@@ -2,7 +2,8 @@
 
 from idapt_pl.modules.dynamics import ActionTransformation
 from idapt_pl.modules.policy import AsymmetricSAC
+from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.modules.state_predictor import StatePredictor
 from idapt_pl.modules.visual import VisualTransformation
 
-__all__ = ["ActionTransformation", "AsymmetricSAC", "StatePredictor", "VisualTransformation"]
+__all__ = ["ActionTransformation", "AsymmetricSAC", "StatePredictor", "StateSAC", "VisualTransformation"]

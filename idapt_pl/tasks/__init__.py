@@ -1,9 +1,14 @@
 """The tasks, by the names the command line uses."""
 
+from idapt_pl.tasks.fetch_reach import FetchReach
+from idapt_pl.tasks.half_cheetah import HalfCheetah
 from idapt_pl.tasks.inverted_pendulum import InvertedPendulum
+from idapt_pl.tasks.sawyer_push import SawyerPush
 from idapt_pl.tasks.task import Task
+from idapt_pl.tasks.walker2d import Walker2d
 
-TASKS: dict[str, type[Task]] = {task.name: task for task in (InvertedPendulum,)}
+_ALL = (InvertedPendulum, HalfCheetah, Walker2d, FetchReach, SawyerPush)
+TASKS: dict[str, type[Task]] = {task.name: task for task in _ALL}
 
 
 def make_task(name: str) -> Task:
@@ -13,4 +18,4 @@ def make_task(name: str) -> Task:
     return TASKS[name]()
 
 
-__all__ = ["TASKS", "InvertedPendulum", "Task", "make_task"]
+__all__ = ["TASKS", "FetchReach", "HalfCheetah", "InvertedPendulum", "SawyerPush", "Task", "Walker2d", "make_task"]

@@ -49,11 +49,7 @@ class InvertedPendulum(Task):
             Light("lamp", diffuse=(0.7, 0.7, 0.7), ambient=(0, 0, 0), specular=(0.3, 0.3, 0.3), position=(0, 0, 1.5)),
             Light("headlight", diffuse=(0.6, 0.6, 0.6), ambient=(0.3, 0.3, 0.3), specular=(0, 0, 0)),
         )
-        return {
-            "source": source,
-            "easy": Domain("easy", easy.base, easy.effects),
-            "hard": Domain("hard", hard.base, hard.effects),
-        }
+        return {d.name: d for d in (source, easy.named("easy"), hard.named("hard"))}
 
     def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
         data.qpos[:] = model.qpos0 + rng.uniform(-0.01, 0.01, model.nq)

@@ -16,7 +16,8 @@ class Task(ABC):
 
     Attributes:
         name: as on the command line.
-        frame_skip: physics steps per control step.
+        frame_skip: physics steps that an action is held for, before a reward is given.
+        action_repeat: how often that is repeated in a control step; rewards are summed.
         horizon: control steps after which an episode is cut (a time limit, not an end of the task).
         rates: state component to the component it is the rate of change of.
         metric: what `evaluate` reports, ``"return"`` or ``"success"``.
@@ -24,6 +25,7 @@ class Task(ABC):
 
     name: ClassVar[str]
     frame_skip: ClassVar[int]
+    action_repeat: ClassVar[int] = 1
     horizon: ClassVar[int]
     metric: ClassVar[str] = "return"
     rates: ClassVar[dict[int, int]] = {}
@@ -46,7 +48,35 @@ class Task(ABC):
 
     @abstractmethod
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
-        """Reward and termination after a control step with ``action``."""
+        """Reward and termination after ``frame_skip`` physics steps with ``action``."""
+
+    def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
+        """Hold an action, within the actuators' ranges, for ``frame_skip`` physics steps."""
+        data.ctrl[:] = action
+        mujoco.mj_step(model, data, self.frame_skip)
+
+    def step(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
+        """Play one control step. Returns its reward and whether the task is over."""
+        total, over = 0.0, False
+        for _ in range(self.action_repeat):
+            self.play(model, data, action)
+            reward, over = self.outcome(model, data, action)
+            total += reward
+            if over:
+                break
+        return total, over
+
+    def success(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Whether the goal is reached; for tasks whose metric is success."""
+        raise NotImplementedError
+
+    def period(self, model: mujoco.MjModel) -> float:
+        """Control period, s."""
+        return model.opt.timestep * self.frame_skip * self.action_repeat
+
+    def backwards(self) -> Task:
+        """The same task paid for going the other way; its policies give task-agnostic data (Section V)."""
+        raise ValueError(f"task {self.name!r} has no direction, so there is no policy 'backwards' for it")
 
     def domain(self, name: str) -> Domain:
         """One domain by name; the error lists the names there are."""

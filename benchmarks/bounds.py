@@ -1,0 +1,78 @@
+"""Is each gap real, and can it be closed? Policies on states: the source's in every domain, and oracles.
+
+    python benchmarks/bounds.py --task inverted_pendulum half_cheetah --seeds 0 1 2
+
+For every task and seed one policy is trained in the source and evaluated in source, easy and hard (direct
+transfer), and one is trained in each target (the oracle). These policies see the true state, so the visual gap plays
+no part: what falls is due to dynamics alone. Rows are added to results/bounds.csv; rows of the same task, seed,
+domain and policy are replaced. Trained policies are kept below runs/bounds and not trained again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import time
+from pathlib import Path
+
+import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
+
+# isort: split
+from cli.collect import plain_trainer
+from cli.provenance import cpu_model, git_commit
+from idapt_pl.experts import RECIPES, ExpertRecipe, measure, train_expert
+from idapt_pl.stage import Stages
+from idapt_pl.tasks import TASKS, Task, make_task
+
+ROOT = Path(__file__).parents[1]
+KEY = ("task", "domain", "policy", "seed")
+
+
+def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> list[dict]:
+    """All bounds of one task and seed."""
+    stages = Stages(ROOT / f"runs/bounds/{task.name}_{seed}_{recipe.steps}", seed, plain_trainer)
+    found = []
+    policies = {}
+    for trained_in in ("source", "easy", "hard"):
+        started = time.perf_counter()
+        policies[trained_in] = train_expert(task, task.domain(trained_in), recipe, stages, trained_in)
+        minutes = (time.perf_counter() - started) / 60
+        for domain in ("source", "easy", "hard") if trained_in == "source" else (trained_in,):
+            result = measure(policies[trained_in], task, task.domain(domain), episodes, seed=1000 + seed)
+            kind = "oracle" if trained_in == domain else "direct transfer"
+            row = {"task": task.name, "domain": domain, "policy": kind, "seed": seed, "metric": task.metric}
+            row |= {"mean": round(result.mean, 3), "std": round(result.std, 3), "episodes": episodes}
+            found.append(row | {"steps": recipe.steps, "minutes": round(minutes, 1)})
+            print(*row.values(), flush=True)
+    return found
+
+
+def write(path: Path, new: list[dict]) -> None:
+    """Put rows into the table, in place of those with the same key."""
+    old = list(csv.DictReader(path.open())) if path.exists() else []
+    table = {tuple(str(row[k]) for k in KEY): row for row in [*old, *new]}
+    with path.open("w", newline="") as f:
+        writer = csv.DictWriter(f, [*new[0]], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table.values())
+
+
+def main() -> None:
+    """Measure the bounds."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS))
+    p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    p.add_argument("--steps", type=int, help="environment steps of every policy; default the task's recipe")
+    p.add_argument("--episodes", type=int, default=20)
+    p.add_argument("--out", type=Path, default=ROOT / "results/bounds.csv")
+    o = p.parse_args()
+    for name in o.task:
+        recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
+        for seed in o.seeds:
+            new = rows(make_task(name), seed, recipe, o.episodes)
+            write(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new])
+
+
+if __name__ == "__main__":
+    main()

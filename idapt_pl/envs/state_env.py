@@ -1,0 +1,39 @@
+"""A task in a domain without images, for what trains on states: experts and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+from gymnasium.vector.utils import batch_space
+
+from idapt_pl.domains import Domain
+from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.tasks import Task
+
+
+class VectorStateEnv(VectorImageEnv):
+    """As :class:`VectorImageEnv`, but nothing is rendered: ``pixels`` is the state, float32 (n, state_dim), again.
+
+    So what collects, evaluates and feeds SAC takes it as it is.
+    """
+
+    def __init__(self, task: Task, domain: Domain, num_envs: int = 1) -> None:
+        super().__init__(task, domain, num_envs, image_size=1, frame_stack=1)
+        states = self.single_observation_space["state"]
+        self.single_observation_space = gymnasium.spaces.Dict({"pixels": states, "state": states})
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    def close_extras(self, **kwargs) -> None:
+        """Nothing was opened."""
+
+    def _make_renderer(self, size: int) -> Callable[..., np.ndarray]:
+        return lambda data: np.zeros((size, size, 3), np.uint8)
+
+    def _look(self, i: int, fresh: bool = False) -> None:
+        """There is nothing to see."""
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        states = super()._observe()["state"]
+        return {"pixels": states, "state": states}

@@ -1,0 +1,91 @@
+"""Policies that see states: experts and backwards ones for datasets, and the bounds of transfer."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import ReplayBuffer, ReplayDataModule
+from idapt_pl.domains import Domain
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.modules import StateSAC
+from idapt_pl.rollout import Act, Experience, Returns, evaluate
+from idapt_pl.stage import Stages
+from idapt_pl.tasks import Task
+
+
+@dataclass(frozen=True)
+class ExpertRecipe:
+    """How SAC on states is trained.
+
+    Args:
+        steps: environment steps.
+        updates_per_step: critic and actor updates for each of them.
+        batch: transitions in a minibatch.
+        warmup_steps: random steps before; the scale of the states is taken from them.
+        num_envs: simulations side by side.
+        gamma: discount.
+    """
+
+    steps: int
+    updates_per_step: float = 1.0
+    batch: int = 128
+    warmup_steps: int = 1000
+    num_envs: int = 4
+    gamma: float = 0.99
+
+
+RECIPES = {
+    "inverted_pendulum": ExpertRecipe(steps=8_000, updates_per_step=2),
+    "half_cheetah": ExpertRecipe(steps=150_000),
+    "walker2d": ExpertRecipe(steps=200_000),
+    "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
+    "sawyer_push": ExpertRecipe(steps=60_000, gamma=0.95),
+}
+
+
+def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stages, name: str) -> StateSAC:
+    """SAC on states in one domain; a policy that is in the stages' folder is loaded instead."""
+    env = VectorStateEnv(task, domain, recipe.num_envs)
+    low, high = (bound.tolist() for bound in (env.single_action_space.low, env.single_action_space.high))
+    state_dim = env.single_observation_space["state"].shape[0]
+
+    def feed(module: StateSAC, seed: int, device: torch.device) -> ReplayDataModule:
+        buffer = ReplayBuffer(recipe.warmup_steps + recipe.steps + recipe.num_envs, seed)
+        warm_up = Experience(env, module, seed, random=True)
+        for _ in range(math.ceil(recipe.warmup_steps / recipe.num_envs)):
+            buffer.add(warm_up())
+        module.actor.encoder.fit(buffer.sample(buffer.size, names=("state",))["state"].to(device))
+        updates = round(recipe.updates_per_step * recipe.num_envs)
+        act = Experience(env, module, seed + 1)
+        return ReplayDataModule(act, buffer, recipe.batch, updates, recipe.steps // recipe.num_envs)
+
+    with closing(env):
+        build = lambda: StateSAC(state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
+        return stages.fit(0, name, build, feed, recipe.steps // recipe.num_envs)
+
+
+def measure(policy: StateSAC, task: Task, domain: Domain, episodes: int, seed: int) -> Returns:
+    """What a policy reaches in a domain, acting with its mean on the true states."""
+    with closing(VectorStateEnv(task, domain, min(episodes, 20))) as env:
+        return evaluate(env, lambda states: policy.act(states, deterministic=True), episodes, seed)
+
+
+def acting_on_states(policy: StateSAC, env) -> Act:
+    """A policy on states as one that is asked with images: it reads the simulations behind them."""
+    inner = env.unwrapped
+
+    def act(pixels: np.ndarray) -> np.ndarray:
+        return policy.act(np.asarray([inner.task.state(inner.model, d) for d in inner.data], np.float32))
+
+    return act
+
+
+def expert_folder(cache: Path, task: Task, kind: str, seed: int) -> Path:
+    """Where an expert is kept."""
+    return cache / f"{task.name}_{kind}_{seed}"

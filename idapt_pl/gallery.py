@@ -1,0 +1,148 @@
+"""A page of all tasks: the same states in every domain, and what differs, read from the compiled models."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Iterable
+from contextlib import ExitStack
+from typing import Any
+
+import imageio.v3 as iio
+import mujoco
+import numpy as np
+
+from idapt_pl.domains import Domain
+from idapt_pl.domains.differences import Difference, differences
+from idapt_pl.domains.paths import CommandEffect
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.rollout import babbling_policy
+from idapt_pl.tasks import Task
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; color: #222 }
+table { border-collapse: collapse; font-size: 13px } td, th { padding: 2px 12px 2px 0; text-align: left }
+tr { border-bottom: 1px solid #ddd } td { font-variant-numeric: tabular-nums; vertical-align: top }
+img { margin: 0 6px 6px 0; vertical-align: top } .name { display: inline-block; width: 5em }
+"""
+
+
+def pictures(task: Task, size: int, moments: Iterable[int], seed: int = 0) -> dict[str, list[np.ndarray]]:
+    """The same states in every domain, along one exploration of the source. Domain to images uint8 (size, size, 3)."""
+    moments = sorted(moments)
+    with ExitStack() as stack:
+        envs = {name: VectorImageEnv(task, domain, 1, size, 1) for name, domain in task.domains().items()}
+        for env in envs.values():
+            stack.callback(env.close)
+        shown: dict[str, list[np.ndarray]] = {name: [] for name in envs}
+        source = envs["source"]
+        obs, _ = source.reset(seed=seed)
+        act = babbling_policy(source, seed)
+        for t in range(moments[-1] + 1):
+            if t in moments:
+                for name, env in envs.items():
+                    shown[name].append(env.show(0, source.data[0]))
+            obs, *_ = source.step(act(obs["pixels"]))
+        return shown
+
+
+def beyond_mjcf(domain: Domain) -> list[Difference]:
+    """The domain's effects that its model cannot show, since MJCF has no words for them."""
+    found = []
+    for effect in domain.effects:
+        if isinstance(effect, CommandEffect) and not effect.in_mjcf:
+            entry = effect.to_dict()
+            found.append(Difference(entry["effect"], entry["target"], "none", entry["parameters"]))
+    return found
+
+
+def comparison(task: Task) -> list[tuple[str, str, bool, dict[str, Any]]]:
+    """Rows of the table: field, element, whether it is only seen, and its value in each domain that differs."""
+    domains = task.domains()
+    models = {name: domain.compile() for name, domain in domains.items()}
+    rows: dict[tuple[str, str], tuple[bool, dict[str, Any]]] = {}
+    for name in (n for n in domains if n != "source"):
+        for d in differences(models["source"], models[name]) + beyond_mjcf(domains[name]):
+            _, values = rows.setdefault((d.field, d.element), (d.visual, {"source": d.before}))
+            values[name] = d.after
+    return [(field, element, visual, values) for (field, element), (visual, values) in rows.items()]
+
+
+def grouped(rows: list[tuple[str, str, bool, dict[str, Any]]]) -> list[tuple[str, str, bool, dict[str, Any]]]:
+    """Rows of one field with the same values put together; of what was added or left out, how many there are."""
+    groups: dict[tuple, list[str]] = {}
+    for field, element, visual, values in rows:
+        told = {
+            k: None if v is None else "present" if isinstance(v, str) and v == element else text(v)
+            for k, v in values.items()
+        }
+        groups.setdefault((field, visual, tuple(told.items())), []).append(element)
+    result = []
+    for (field, visual, told), elements in groups.items():
+        named = ", ".join(elements) if len(elements) <= 6 else f"{len(elements)}: {', '.join(elements[:3])}, ..."
+        result.append((field, named, visual, {k: "-" if v is None else v for k, v in told}))
+    return result
+
+
+def told_of(value: Any, element: str) -> str | None:
+    """A value for a reader, or that the element is there; None where there is no such element."""
+    return "present" if isinstance(value, str) and value == element else None if value is None else text(value)
+
+
+def text(value: Any) -> str:
+    """A value for a reader: four digits, arrays in brackets without zeros at their end."""
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {text(v)}" for k, v in value.items())
+    if isinstance(value, np.ndarray) and value.ndim:
+        rounded = np.where(np.abs(value) < 1e-9, 0.0, value).ravel()
+        kept = rounded if value.size <= 4 else np.trim_zeros(rounded, "b")
+        return "(" + ", ".join(f"{v:.4g}" for v in kept) + ")" if kept.size else "0"
+    return f"{float(value):.4g}" if isinstance(value, int | float | np.number | np.ndarray) else str(value)
+
+
+def section(task: Task, size: int, moments: Iterable[int]) -> str:
+    """One task as HTML."""
+    model = task.domain("source").compile()
+    data = mujoco.MjData(model)
+    task.reset(model, data, np.random.default_rng(0))
+    mujoco.mj_forward(model, data)
+    facts = {
+        "control period": f"{task.period(model):g} s",
+        "horizon": f"{task.horizon} control steps",
+        "actions": f"{model.nu}, from {text(model.actuator_ctrlrange.T[0])} to {text(model.actuator_ctrlrange.T[1])}",
+        "state": f"{len(task.state(model, data))} numbers",
+        "metric": task.metric,
+    }
+    parts = [f"<h2>{task.name}</h2><p>{'; '.join(f'{k}: {v}' for k, v in facts.items())}</p>"]
+    for name, images in pictures(task, size, moments).items():
+        parts.append(f"<div><span class=name>{name}</span>{''.join(map(picture, images))}</div>")
+    parts.append(table(grouped(comparison(task)), list(task.domains())))
+    return "\n".join(parts)
+
+
+def table(rows: list[tuple[str, str, bool, dict[str, Any]]], domains: list[str]) -> str:
+    """The differences as HTML, physical ones first; a domain that does not differ shows the source's value."""
+    lines = [f"<tr><th>{'</th><th>'.join(['', 'field', 'of', *domains])}</th></tr>"]
+    for field, element, visual, values in sorted(rows, key=lambda row: row[2]):
+        cells = ["seen" if visual else "<b>moves</b>", field, html.escape(element)]
+        cells += [html.escape(values.get(name, values["source"])) for name in domains]
+        lines.append(f"<tr><td>{'</td><td>'.join(cells)}</td></tr>")
+    return f"<table>{''.join(lines)}</table>"
+
+
+def picture(image: np.ndarray) -> str:
+    """An image as HTML that needs no file beside it."""
+    data = base64.b64encode(iio.imwrite("<bytes>", image, extension=".png")).decode()
+    return f'<img src="data:image/png;base64,{data}" width="{image.shape[1]}" alt="">'
+
+
+def page(tasks: Iterable[Task], size: int = 200, moments: Iterable[int] = (0, 8, 16, 32)) -> str:
+    """The whole page."""
+    moments = tuple(moments)
+    intro = (
+        "Every row of pictures shows the same states, reached by an exploration of the source. The tables list every "
+        "field in which a compiled model differs from the source's, and effects that MJCF has no words for."
+    )
+    body = "\n".join(section(task, size, moments) for task in tasks)
+    head = f"<!doctype html><meta charset=utf-8><title>Tasks and domains</title><style>{STYLE}</style>"
+    return f"{head}<h1>Tasks and domains</h1><p>{intro}</p>{body}\n"

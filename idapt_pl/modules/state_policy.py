@@ -1,0 +1,88 @@
+"""SAC on states: experts for datasets, and the bounds that transfer is measured against."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from idapt_pl.modules.policy import AsymmetricSAC, ImageActor, TwinCritic
+
+
+class Standardise(nn.Module):
+    """States to about zero mean and unit spread; what lies far outside the data is cut off at ten."""
+
+    def __init__(self, state_dim: int) -> None:
+        super().__init__()
+        self.features = state_dim
+        self.register_buffer("mean", torch.zeros(state_dim))
+        self.register_buffer("std", torch.ones(state_dim))
+
+    def fit(self, states: Tensor) -> None:
+        """Take mean and spread from (n, state_dim); a component that hardly varies keeps its units."""
+        std = states.std(0)
+        self.mean.copy_(states.mean(0))
+        self.std.copy_(torch.where(std > 1e-5, std, torch.ones_like(std)))
+
+    def forward(self, states: Tensor) -> Tensor:
+        """Standardised states."""
+        return ((states - self.mean) / self.std).clamp(-10, 10)
+
+
+class StateSAC(AsymmetricSAC):
+    """Soft actor-critic whose actor sees the state too. Arguments as in :class:`AsymmetricSAC`."""
+
+    def __init__(
+        self,
+        state_dim: int,
+        action_low: list[float],
+        action_high: list[float],
+        hidden: Sequence[int] = (256, 256),
+        lr: float = 1e-3,
+        lr_floor: float = 0.1,
+        gamma: float = 0.99,
+        tau: float = 0.01,
+        temperature: float = 0.1,
+        learn_temperature: bool = True,
+        target_entropy: float | None = None,
+        actor_every: int = 1,
+    ) -> None:
+        super(AsymmetricSAC, self).__init__()  # its parts are other ones here
+        self.save_hyperparameters()
+        self.hparams.update(encoder="states", bf16=False, misperception=0.0)
+        self.actor = ImageActor(Standardise(state_dim), action_low, action_high, hidden)
+        self.critic = TwinCritic(state_dim, self.actor, hidden)
+        self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
+        self.log_alpha = nn.Parameter(torch.tensor(float(np.log(temperature))))
+        self.register_buffer("updates", torch.zeros((), dtype=torch.long))
+
+    @torch.no_grad()
+    def encode(self, pixels: np.ndarray) -> Tensor:
+        """Standardised states of states (n, state_dim)."""
+        return self.actor.encoder(torch.from_numpy(pixels).to(self.device))
+
+    def remember(self, pixels: np.ndarray) -> dict[str, np.ndarray]:
+        return {"observation": pixels}
+
+    @torch.no_grad()
+    def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
+        return self.act(remembered["observation"])
+
+    def features(self, remembered: Tensor) -> Tensor:
+        return self.actor.encoder(remembered)
+
+    def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
+        return batch["rewards"]
+
+    def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        return super().critic_step(self._standardised(batch))
+
+    def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        return super().actor_step(self._standardised(batch))
+
+    def _standardised(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """What the critics see."""
+        return batch | {k: self.actor.encoder(batch[k]) for k in ("state", "next_state")}

@@ -1,0 +1,72 @@
+"""Filament: another engine, the same images each time; and what happens without it. In a process of its own."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from idapt_pl.domains import filament
+from idapt_pl.domains.rendering import FrameRenderer, engine_of, make_renderer
+from idapt_pl.tasks import make_task
+
+PROGRAM = """
+import hashlib, numpy as np, idapt_pl
+from idapt_pl.domains.filament import FilamentRenderer
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.tasks import make_task
+task = make_task("fetch_reach")
+one, two = (VectorImageEnv(task, task.domain("hard"), 1, size, 1) for size in (32, 24))
+assert isinstance(one._render, FilamentRenderer)
+first = one.reset(seed=0)[0]["pixels"]
+second = two.reset(seed=0)[0]["pixels"]          # two alive at a time, in turn
+again = one.reset(seed=0)[0]["pixels"]
+moved = one.step(np.ones((1, 4), np.float32))[0]["pixels"]
+assert (first == again).all() and (first != moved).any() and first.std() > 10 and second.std() > 10
+print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
+"""
+
+
+def run(program, **env):
+    kept = {k: v for k, v in os.environ.items() if k != "IDAPT_RENDERER"}
+    return subprocess.run([sys.executable, "-c", program], env=kept | env, capture_output=True, text=True, timeout=300)
+
+
+WITH_VULKAN = pytest.mark.skipif(filament.why_unavailable() is not None, reason="no Vulkan device")
+
+
+@WITH_VULKAN
+def test_filament_draws_the_same_state_the_same_way_each_time():
+    done = run(PROGRAM)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.split()) == 1, "what Filament prints stays off the output"
+
+
+@WITH_VULKAN
+@pytest.mark.slow
+def test_filament_draws_the_same_state_the_same_way_in_each_process():
+    assert run(PROGRAM).stdout == run(PROGRAM).stdout != ""
+
+
+def test_without_filament_the_classic_renderer_draws_the_same_room_and_says_so(caplog):
+    model = make_task("sawyer_push").domain("hard").compile()
+    assert engine_of(model) == "filament" and engine_of(make_task("sawyer_push").domain("easy").compile()) == "classic"
+    with caplog.at_level("WARNING"):
+        render = make_renderer(model, 16)
+    assert isinstance(render, FrameRenderer) and "IDAPT_RENDERER=classic" in caplog.text
+    render.close()
+
+
+def test_a_machine_without_vulkan_is_told_what_to_install(monkeypatch, caplog):
+    def missing(name):
+        raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.delenv("IDAPT_RENDERER")
+    monkeypatch.setattr(filament.ctypes, "CDLL", missing)
+    filament.why_unavailable.cache_clear()
+    with caplog.at_level("WARNING"):
+        render = make_renderer(make_task("fetch_reach").domain("hard").compile(), 16)
+    filament.why_unavailable.cache_clear()
+    assert isinstance(render, FrameRenderer)
+    render.close()
+    assert "no Vulkan library" in caplog.text and "apt-get install libvulkan1 mesa-vulkan-drivers" in caplog.text
