@@ -50,9 +50,9 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
 
 
 def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
-    """Dotted keys whose values differ."""
+    """Dotted keys whose values differ, but for those that change nothing of what a run has done so far."""
     keys = []
-    for key in sorted({*old, *new} - {"config", "trainer"}):
+    for key in sorted({*old, *new} - {"config", "trainer", "oracle"}):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
             keys += changed_keys(a, b, f"{prefix}{key}.")
