@@ -56,6 +56,8 @@ class Simulator:
         self.threads = threads or os.cpu_count() or 1
         self.calls = 0
         self._commands: dict = {}
+        self._samples: dict = {}
+        self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
 
     @property
     def channels(self) -> list[str]:
@@ -70,11 +72,20 @@ class Simulator:
 
     def compile(self, effects: Effects) -> mujoco.MjModel:
         """The model with those effects that MJCF can say; command effects act on the commands instead."""
-        spec = self.spec.copy()
-        for effect in effects:
-            if not isinstance(effect, CommandEffect | ForceEffect | SensingEffect):
+        return self._ready(effects)[0]
+
+    def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
+        """The model and room to simulate it, for each thread; the last few are kept."""
+        said = tuple(e for e in effects if not isinstance(e, CommandEffect | ForceEffect | SensingEffect))
+        if said not in self._compiled:
+            if len(self._compiled) >= 8:
+                self._compiled.pop(next(iter(self._compiled)))
+            spec = self.spec.copy()
+            for effect in said:
                 effect.apply(spec)
-        return spec.compile()
+            model = spec.compile()
+            self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
+        return self._compiled[said]
 
     def residual(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> np.ndarray:
         """Measured minus predicted at every sample, (n, j, channels).
@@ -96,7 +107,7 @@ class Simulator:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
         self.calls += 1
-        model = self.compile(effects)
+        model, data = self._ready(effects)
         qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
         if nudge is not None:
             qpos, qvel = shift(model, qpos, nudge[: model.nv]), qvel + nudge[model.nv :]
@@ -108,21 +119,27 @@ class Simulator:
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
         controls = self._controls(effects, windows, steps, model.opt.timestep)
         with silence():
-            states = self._roll(model, effects, times[:, 0], qpos, qvel, controls)
+            states = self._roll(model, data, effects, times[:, 0], qpos, qvel, controls)
         qpos, qvel = read_off(model, states, ends)
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
 
     def _times(self, windows: Windows) -> np.ndarray:
-        span = np.arange(windows.offsets[-1] + 1)
-        return np.stack([self.data[e].time[s + span] for e, s in zip(windows.episode, windows.start, strict=True)])
+        return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
 
     def _measured(self, windows: Windows, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pairs = list(zip(windows.episode, windows.start, strict=True))
-        return tuple(
-            np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs]) for name in ("qpos", "qvel")
-        )
+        return self._of("qpos", windows, offsets), self._of("qvel", windows, offsets)
+
+    def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
+        """One channel of the recordings at samples of every window, (n, offsets, ...); the last few are kept."""
+        key = (name, windows.start.tobytes(), windows.episode.tobytes(), offsets.tobytes())
+        if key not in self._samples:
+            if len(self._samples) >= 32:
+                self._samples.pop(next(iter(self._samples)))
+            pairs = zip(windows.episode, windows.start, strict=True)
+            self._samples[key] = np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs])
+        return self._samples[key]
 
     def _joints(self, target: str) -> list[int]:
         m = self.model
@@ -164,7 +181,7 @@ class Simulator:
                 out[rows, :, i] = np.diff(np.interp(at, edges, total[:, i]), axis=1) / h
         return out
 
-    def _roll(self, model, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
+    def _roll(self, model, data, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
         """States after every step, the first one in front: (n, steps + 1, size)."""
         n, steps, _ = controls.shape
         start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
@@ -172,7 +189,6 @@ class Simulator:
         start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
         if model.na and controls.shape[2] == model.na:
             start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
-        data = [mujoco.MjData(model) for _ in range(self.threads)]
         forces = [e for e in effects if isinstance(e, ForceEffect)]
         if not forces:
             states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
