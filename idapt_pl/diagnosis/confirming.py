@@ -8,7 +8,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.state import Found, Search, Tried
 from idapt_pl.diagnosis.statistics import effects_of, paired_gain, window_loss
-from idapt_pl.domains.paths import SensingEffect
+from idapt_pl.domains.paths import ExternalForce, SensingEffect
 
 log = logging.getLogger(__name__)
 
@@ -92,8 +92,8 @@ def accept(search: Search, confirmed: list[Tried]) -> Found | None:
 
 
 def handicap(t: Tried) -> float:
-    """Blaming sensors moves measurement and prediction alike, which imitates much: it must be clearly better."""
-    return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect) else 0.0
+    """Sensors and unseen hands are blamed last: what they do imitates much, so they must be clearly better."""
+    return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect | ExternalForce) else 0.0
 
 
 def indistinguishable(search: Search, a: Tried, b: Tried) -> float:

@@ -10,7 +10,6 @@ import numpy as np
 
 from datamodules import Trajectories
 
-
 log = logging.getLogger(__name__)
 
 

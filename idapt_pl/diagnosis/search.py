@@ -23,7 +23,6 @@ from idapt_pl.diagnosis.statistics import covariance
 from idapt_pl.diagnosis.verdict import judge
 from idapt_pl.domains.paths import ActuatorDelay, ActuatorLag
 
-
 USUAL = Settings()
 
 

@@ -169,7 +169,7 @@ class Simulator:
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions)
             for effect in effects:
-                columns = [i for i in range(nu) if effect.target in ("*", names[i])]
+                columns = [i for i in range(nu) if effect.target == "*" or names[i] in meant(effect, names)]
                 command = effect.transform(command, columns, h)
             # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
             early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
@@ -214,6 +214,11 @@ class Simulator:
             q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
             joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
         return np.concatenate([joint, body.reshape(len(state), -1)], 1)
+
+
+def meant(effect: CommandEffect, names: Sequence[str]) -> list[str]:
+    """Actuators that an effect names: one, or several with spaces in between."""
+    return [effect.target] if effect.target in names else effect.target.split()
 
 
 def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

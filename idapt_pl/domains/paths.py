@@ -160,6 +160,33 @@ class ActuatorSaturation(CommandEffect):
 
 
 @dataclass(frozen=True)
+class ActuatorRotation(CommandEffect):
+    """The plane of two commands is turned by an angle; target: the two actuators' names, or ``"*"`` for the first two.
+
+    For an end effector that is commanded in Cartesian coordinates this is a base that stands askew; a quarter turn of
+    two motors is crossed wires. MJCF has no words for it.
+    """
+
+    name: ClassVar[str] = "actuator_rotation"
+    angle: float = parameter("rad", -np.pi, np.pi)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        if len(columns) < 2:
+            return command
+        (i, j), values = columns[:2], command.values.copy()
+        u, v = command.values[:, i], command.values[:, j]
+        cosine, sine = np.cos(self.angle), np.sin(self.angle)
+        values[:, i], values[:, j] = cosine * u - sine * v, sine * u + cosine * v
+        return Command(command.edges, values)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for name in self.target.split() if self.target != "*" else ():
+            elements(spec, "actuators", name)
+        if self.target != "*" and len(self.target.split()) != 2:
+            raise ValueError(f"actuator_rotation: target must name two actuators, got {self.target!r}")
+
+
+@dataclass(frozen=True)
 class ForceEffect(Effect):
     """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
 
