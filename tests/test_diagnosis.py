@@ -279,3 +279,26 @@ def test_free_and_ball_joints(mass, medium, expected):
     diagnosis = diagnose(spec, flights(mass, medium), candidates=["body_mass", "fluid_drag", "actuator_gain"])
     assert {e["effect"] for e in diagnosis.report["effects"]} == expected
     assert diagnosis.report["error"]["after"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_the_recordings_do_not_excite_is_called_that():
+    """A joint that never turns about its axis says nothing of the drag on it, however small the residual."""
+    still = ARM.replace('<motor name="e" joint="elbow"/>', '<motor name="e" joint="elbow" gear="1e-6"/>').replace(
+        "<option timestep", '<option gravity="0 0 0" timestep'
+    )
+    spec = mujoco.MjSpec.from_string(
+        still.replace('joint name="elbow" axis="0 1 0"', 'joint name="elbow" axis="0 0 1"')
+    )
+    trajectories = record(spec.to_xml(), size=0.0, episodes=4, noise=(1e-3, 1e-2))
+    report = diagnose(spec, trajectories, candidates=["joint_drag", "actuator_gain"]).report
+    assert report["verdict"] in ("insufficient_excitation", "no_missing_effect")
+    reasons = [c["rejected_because"] for c in report["candidates"]]
+    assert any("not excited by these recordings" in r for r in reasons)
+
+
+def test_numerics_are_reported_as_what_differs():
+    """The same integrator with another time step is not another integrator."""
+    fine = ARM.replace('timestep="0.004"', 'timestep="0.02"')
+    report = diagnose(mujoco.MjSpec.from_string(fine), record(noise=(1e-5, 1e-4)), candidates=["body_mass"]).report
+    (numerics,) = [e for e in report["effects"] if e["effect"] == "numerics"]
+    assert set(numerics["parameters"]) == {"timestep"}

@@ -15,7 +15,7 @@ from idapt_pl.domains import paths
 from idapt_pl.domains.effects import Effect
 
 JOINT = mujoco.mjtTrn.mjTRN_JOINT
-SENSOR_GAIN = (0.8, 1.25)
+SENSOR_GAIN = ((0.8, 1.25),)
 """Position sensors are off by per cents; a larger scale imitates inertia and gravity."""
 
 
@@ -31,7 +31,7 @@ class Candidate:
         scale: what a noticeable change of each is about; fits work in units of it.
         starts: further places to start a fit from, each (parameters,).
         fixed: parameters that are not free.
-        span: narrower bounds on all of them, where a larger change would not be this effect any more.
+        span: narrower bounds, a pair for each parameter, where more would not be this effect any more.
     """
 
     kind: type[Effect]
@@ -41,7 +41,7 @@ class Candidate:
     scale: tuple[float, ...]
     starts: tuple[tuple[float, ...], ...] = ()
     fixed: tuple[tuple[str, object], ...] = ()
-    span: tuple[float, float] | None = None
+    span: tuple[tuple[float, float], ...] | None = None
 
     @property
     def label(self) -> str:
@@ -56,7 +56,7 @@ class Candidate:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the parameters."""
         if self.span is not None:
-            return np.full(self.size, self.span[0]), np.full(self.size, self.span[1])
+            return tuple(np.array(self.span, float).T)
         meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
         low, high = (np.array([meta[n][side] for n in self.names], float) for side in ("low", "high"))
         return low, high
@@ -177,6 +177,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 ("coulomb", "static", "speed"),
                 (0.0, 0.0, a.speed[v] / 4),
                 (torque, torque, a.speed[v] / 4),
+                span=((0.0, 1e6), (0.0, 1e6), (a.speed[v] / 50, 10 * a.speed[v])),  # slower is plain dry friction
                 starts=tuple(
                     (c * torque, s * torque, f * a.speed[v]) for c, s in ((0.1, 0.2), (0.3, 1.0)) for f in (0.05, 0.3)
                 ),

@@ -21,6 +21,9 @@ COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
+HELD = 1e-3
+"""Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
+
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
 _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
@@ -193,14 +196,19 @@ class Simulator:
         if not forces:
             states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        states = [start]
-        for k in range(steps):
-            applied = self._forces(model, forces, states[-1])
-            step = np.concatenate([controls[:, k], applied], 1)[:, None]
+        states, held = [start], max(1, int(HELD / model.opt.timestep + 1e-6))
+        for k in range(0, steps, held):
+            commands = controls[:, k : k + held]
+            applied = np.repeat(self._forces(model, forces, states[-1])[:, None], commands.shape[1], 1)
             after, _ = rollout.rollout(
-                model, data, states[-1], step, control_spec=int(COMMAND_AND_FORCE), persistent_pool=True
+                model,
+                data,
+                states[-1],
+                np.concatenate([commands, applied], 2),
+                control_spec=int(COMMAND_AND_FORCE),
+                persistent_pool=self.threads > 1,
             )
-            states.append(after[:, 0])
+            states += list(after.transpose(1, 0, 2))
         return np.stack(states, 1)
 
     def _forces(self, model: mujoco.MjModel, forces: Sequence[ForceEffect], state: np.ndarray) -> np.ndarray:
