@@ -11,6 +11,10 @@ from idapt_pl.diagnosis.statistics import effects_of, paired_gain, window_loss
 from idapt_pl.domains.paths import ExternalForce, SensingEffect
 
 log = logging.getLogger(__name__)
+FAR = 10.0
+"""Held-out loss above which the best single effect is surely not all that is missing."""
+PARSIMONY = 0.15
+"""Share of the best gain that every further parameter must then be worth."""
 
 
 def confirm(search: Search, chosen: list[Tried]) -> list[Tried]:
@@ -73,6 +77,8 @@ def accept(search: Search, confirmed: list[Tried]) -> Found | None:
     if not passed:
         return None
     top = min(passed, key=lambda t: t.held_out + handicap(t))
+    if top.held_out > FAR:  # more is missing than this one: what bends to many shapes soaks it up
+        top = min(passed, key=lambda t: t.held_out + handicap(t) + PARSIMONY * (t.candidate.size - 1) * top.gain)
     near = min(0.1 * max(top.gain, 0.0), 0.03 + 0.03 * top.held_out)
     close = [t for t in passed if t.held_out - top.held_out <= near]
     best = min(close, key=lambda t: (t.candidate.size, t.candidate.target == "*", t.held_out + handicap(t)))

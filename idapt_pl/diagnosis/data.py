@@ -20,6 +20,9 @@ class UnusableData(ValueError):
 LATE = 0.5
 """Measured velocities that lag the positions by more control periods than this are not used."""
 
+SLOPE = 0.01
+"""Velocities that were not measured are slopes of the positions over about this time to either side [s]."""
+
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
 
@@ -138,7 +141,7 @@ def lateness(shown: list[Recording], sloped: list[Recording]) -> float:
     return lag if explained > 0.25 else 0.0
 
 
-def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = 0.01) -> np.ndarray:
+def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = SLOPE) -> np.ndarray:
     """Velocities as central slopes of the positions over about ``half_width`` seconds to either side, (T+1, nv)."""
     reach = max(1, round(half_width / float(np.median(np.diff(time)))))
     index = np.arange(len(time))

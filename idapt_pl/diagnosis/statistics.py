@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from idapt_pl.diagnosis.data import Recording, Windows, difference
+from idapt_pl.diagnosis.data import SLOPE, Recording, Windows, difference, slopes
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 
@@ -81,13 +81,29 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     residual, A = (from_steps if sim.velocities else from_windows)(sim, effects, windows)
     channels, nv = residual.shape[-1], sim.model.nv
     limit = np.concatenate(smoothness_noise(sim.model, sim.data, sim.velocities))
-    limit = np.concatenate([limit, np.full(A.shape[-1] - channels, np.inf)])
-    low = 0.01 * np.where(np.isfinite(limit), limit, 0.0) + 1e-9
+    if not sim.velocities:
+        limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
+    low = 0.01 * limit + 1e-9
     sigma = np.clip(np.sqrt(variances(A, residual)), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
-    start = np.maximum(sigma[channels:], 0.03 * sigma[:nv] / max(np.median(np.diff(sim.data[0].time)), 1e-6))
+    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], bent=0.0))
     return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
+
+
+def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
+    """Standard deviation of velocities that are slopes of positions, (nv,).
+
+    Args:
+        model: the model.
+        data: recordings.
+        sensors: noise of the positions, (nv,).
+        bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
+    """
+    narrow, wide = (np.concatenate([slopes(model, r.time, r.qpos, w) for r in data]) for w in (SLOPE, 2 * SLOPE))
+    dt = float(np.median(np.diff(data[0].time)))
+    random = 2**0.5 * sensors / (2 * dt * max(1, round(SLOPE / dt)))
+    return np.hypot(random, bent * 1.4826 * np.median(np.abs(narrow - wide), 0) / 3)
 
 
 def from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
