@@ -83,7 +83,7 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     limit = np.concatenate(smoothness_noise(sim.model, sim.data, sim.velocities))
     if not sim.velocities:
         limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
-    low = 0.01 * limit + 1e-9
+    low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
     sigma = np.clip(np.sqrt(variances(A, residual)), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
