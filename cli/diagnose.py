@@ -29,7 +29,7 @@ from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.report import write_report
-from idapt_pl.diagnosis.search import Settings
+from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
 from idapt_pl.domains import Effect, effect_from_dict
 

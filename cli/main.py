@@ -30,6 +30,9 @@ HARMLESS = (
 )
 """Warnings of other packages that a user can do nothing about, as patterns of how they begin."""
 
+RESUMED = ("fit", "visual")
+"""Commands that go on where they were interrupted."""
+
 
 def usage() -> str:
     """The overview that ``idapt --help`` prints."""
@@ -70,7 +73,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"idapt {name}: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"idapt {name}: interrupted; the same command resumes it", file=sys.stderr)
+        then = "the same command resumes it" if name in RESUMED else "nothing was finished; run it again"
+        print(f"idapt {name}: interrupted; {then}", file=sys.stderr)
         return 1
 
 

@@ -109,7 +109,7 @@ def test_report_json_has_the_keys_of_its_schema_and_the_hidden_effect(damped):
     assert (effect["effect"], effect["target"]) == ("joint_damping", "shoulder")
     assert {"parameters", "error_after", "equivalent"} <= set(effect)
     damping = effect["parameters"]["damping"]
-    assert damping["nominal"] == NOMINAL
+    assert damping["nominal"] == NOMINAL and damping["unit"] == "N·m·s/rad", "the unit of a hinge, not of either kind"
     assert damping["estimate"] == pytest.approx(HIDDEN, rel=0.03)
     low, high = damping["ci95"]
     assert low <= damping["estimate"] <= high
@@ -136,7 +136,9 @@ def test_page_is_self_contained_and_says_what_was_found(damped):
 def test_page_fetches_nothing_even_for_hostile_names(damped, workspace, tmp_path):
     data = record(HIDDEN)
     found = diagnose(read_model(workspace / "nominal.xml"), data, candidates=["joint_damping"])
-    write_report(found, tmp_path, "<script src=x>.xml", "a&b.h5")
+    for _ in range(2):
+        write_report(found, tmp_path, "<script src=x>.xml", "a&b.h5")
+    assert len(list(tmp_path.glob("events.out.tfevents.*"))) == 1, "events of an earlier run are removed"
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in html and "a&amp;b.h5" in html
 

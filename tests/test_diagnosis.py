@@ -9,7 +9,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.data import UnusableData, cut, recordings
 from idapt_pl.diagnosis.search import split_episodes
 from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.statistics import estimate_noise, initial_sensitivity, whiten, whitener
+from idapt_pl.diagnosis.statistics import Noise, estimate_noise, initial_sensitivity, whiten, whitener
 from idapt_pl.domains.effects import JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
 
@@ -132,17 +132,32 @@ def right():
     sim = Simulator(spec, data, velocities)
     windows = cut(data, np.arange(12), 5, 5, 1000, 0)
     residual = sim.residual((), windows)
-    return sim, windows, residual, initial_sensitivity(sim, (), windows, residual)
+    size = np.repeat([NOISE_Q, NOISE_V], 2)
+    return sim, windows, residual, initial_sensitivity(sim, (), windows, size)
 
 
 def test_noise_is_estimated(right):
-    sim, _, residual, S0 = right
-    np.testing.assert_allclose(estimate_noise(sim, residual, S0).sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
+    sim, *_ = right
+    noise = estimate_noise(sim, (), cut(sim.data, np.arange(12), 2, 2, 200, 0))
+    np.testing.assert_allclose(noise.sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
+
+
+def test_noise_is_not_mistaken_for_a_missing_effect():
+    """What the model gets wrong lasts longer than a control step, and does not count as noise."""
+    spec = mujoco.MjSpec.from_string(ARM)
+    data, velocities = recordings(
+        spec.copy().compile(), record(ARM.replace('joint="shoulder"', 'joint="shoulder" gear="0.7"'))
+    )
+    sim = Simulator(spec, data, velocities)
+    noise = estimate_noise(sim, (), cut(data, np.arange(6), 2, 2, 200, 0))
+    step = sim.residual((), cut(data, np.arange(6), 1, 1, 200, 0))[:, 0]
+    np.testing.assert_allclose(noise.sensors[:2], NOISE_Q, rtol=0.3)
+    assert (noise.sensors[2:] < 0.5 * step.std(0)[2:]).all()
 
 
 def test_residuals_of_the_right_model_are_white_after_whitening(right):
-    sim, _, residual, S0 = right
-    z = whiten(whitener(S0, estimate_noise(sim, residual, S0)), residual)
+    _, _, residual, at = right
+    z = whiten(whitener(at, Noise(*[np.repeat([NOISE_Q, NOISE_V], 2)] * 2)), residual)
     assert np.square(z).mean() == pytest.approx(1.0, abs=0.1)
     correlation = np.corrcoef(z.T) - np.eye(z.shape[1])
     assert np.abs(correlation).max() < 5 / np.sqrt(len(z))
@@ -169,15 +184,21 @@ def test_windows_stay_inside_episodes_and_do_not_overlap(right):
 
 
 def test_split_holds_every_fourth_episode_out_and_never_shares():
-    fit, held = split_episodes(9, None, None)
+    fit, held = split_episodes(np.ones(9), None, None)
     assert len(held) >= 2 and sorted([*fit, *held]) == list(range(9))
-    assert split_episodes(4, None, [1])[0].tolist() == [0, 2, 3]
+    assert split_episodes(np.ones(4), None, [1])[0].tolist() == [0, 2, 3]
     with pytest.raises(ValueError, match="both to be fitted and held out"):
-        split_episodes(4, [0, 1], [1])
+        split_episodes(np.ones(4), [0, 1], [1])
     with pytest.raises(ValueError, match="no episode 7"):
-        split_episodes(4, [7], None)
+        split_episodes(np.ones(4), [7], None)
     with pytest.raises(ValueError, match="at least two are needed"):
-        split_episodes(1, None, None)
+        split_episodes(np.ones(1), None, None)
+
+
+def test_both_parts_have_calm_and_lively_episodes():
+    """Recordings often take turns: every fourth in order would hold out one kind of motion."""
+    _, held = split_episodes(np.tile([1.0, 2.0, 3.0, 0.1], 4), None, None)
+    assert {int(e) % 4 for e in held} == {0, 1, 2, 3}
 
 
 @pytest.mark.parametrize(
@@ -196,3 +217,88 @@ def test_unusable_recordings_are_refused_by_name(spoil, message):
     bad = Episode(actions, {"qpos": qpos, "qvel": e.observations["qvel"]})
     with pytest.raises(UnusableData, match=message):
         diagnose(mujoco.MjSpec.from_string(ARM), Trajectories((bad, *good.episodes[1:]), DT))
+
+
+def test_velocities_that_come_late_are_not_used():
+    """A filtered speed register would otherwise be blamed on friction or on a sensor."""
+    prompt = record()
+    late = [
+        Episode(e.actions, {**e.observations, "qvel": e.observations["qvel"][[0, 0, *range(80 - 1)]]})
+        for e in prompt.episodes
+    ]
+    model = mujoco.MjModel.from_xml_string(ARM)
+    assert recordings(model, prompt)[1], "prompt velocities are used"
+    assert not recordings(model, Trajectories(tuple(late), DT))[1]
+
+
+BOX = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"{medium}/>
+  <worldbody>
+    <body name="box" pos="0 0 20"><freejoint name="free"/>
+      <geom name="b" type="box" size="0.1 0.2 0.05" mass="{mass}" contype="0" conaffinity="0"/>
+      <body name="arm" pos="0.1 0 0"><joint name="swing" type="ball" damping="0.01"/>
+        <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0" mass="0.3" contype="0" conaffinity="0"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="lift" joint="free" gear="0 0 1 0 0 0"/><motor name="spin" joint="free" gear="0 0 0 0.1 0 0"/>
+  </actuator>
+</mujoco>"""
+
+
+def flights(mass, medium="", episodes=6, steps=60):
+    """A tumbling box with a limb on a ball joint, thrown and pushed about."""
+    model, rng, made = (
+        mujoco.MjModel.from_xml_string(BOX.format(mass=mass, medium=medium)),
+        np.random.default_rng(1),
+        [],
+    )
+    for _ in range(episodes):
+        data = mujoco.MjData(model)
+        data.qvel[:] = rng.normal(size=model.nv) * 2
+        actions = np.repeat(rng.normal(size=(steps // 4, 2)) * 20, 4, 0)
+        rows = [(data.qpos.copy(), data.qvel.copy())]
+        for a in actions:
+            data.ctrl[:] = a
+            mujoco.mj_step(model, data, 4)
+            rows.append((data.qpos.copy(), data.qvel.copy()))
+        q, v = (np.array(x) for x in zip(*rows, strict=True))
+        for row in q:
+            mujoco.mj_integratePos(model, row, rng.normal(size=model.nv) * 1e-3, 1.0)
+        made.append(Episode(actions.astype(np.float32), {"qpos": q, "qvel": v + 1e-2 * rng.normal(size=v.shape)}))
+    return Trajectories(tuple(made), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("mass", "medium", "expected"),
+    [(2.0, "", set()), (2.8, "", {"body_mass"}), (2.0, ' density="15"', {"fluid_drag"})],
+    ids=["nothing", "mass", "drag"],
+)
+def test_free_and_ball_joints(mass, medium, expected):
+    spec = mujoco.MjSpec.from_string(BOX.format(mass=2.0, medium=""))
+    diagnosis = diagnose(spec, flights(mass, medium), candidates=["body_mass", "fluid_drag", "actuator_gain"])
+    assert {e["effect"] for e in diagnosis.report["effects"]} == expected
+    assert diagnosis.report["error"]["after"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_the_recordings_do_not_excite_is_called_that():
+    """A joint that never turns about its axis says nothing of the drag on it, however small the residual."""
+    still = ARM.replace('<motor name="e" joint="elbow"/>', '<motor name="e" joint="elbow" gear="1e-6"/>').replace(
+        "<option timestep", '<option gravity="0 0 0" timestep'
+    )
+    spec = mujoco.MjSpec.from_string(
+        still.replace('joint name="elbow" axis="0 1 0"', 'joint name="elbow" axis="0 0 1"')
+    )
+    trajectories = record(spec.to_xml(), size=0.0, episodes=4, noise=(1e-3, 1e-2))
+    report = diagnose(spec, trajectories, candidates=["joint_drag", "actuator_gain"]).report
+    assert report["verdict"] in ("insufficient_excitation", "no_missing_effect")
+    reasons = [c["rejected_because"] for c in report["candidates"]]
+    assert any("not excited by these recordings" in r for r in reasons)
+
+
+def test_numerics_are_reported_as_what_differs():
+    """The same integrator with another time step is not another integrator."""
+    fine = ARM.replace('timestep="0.004"', 'timestep="0.02"')
+    report = diagnose(mujoco.MjSpec.from_string(fine), record(noise=(1e-5, 1e-4)), candidates=["body_mass"]).report
+    (numerics,) = [e for e in report["effects"] if e["effect"] == "numerics"]
+    assert set(numerics["parameters"]) == {"timestep"}

@@ -25,6 +25,7 @@ from idapt_pl.domains.effects import (
     JointFrictionloss,
     JointSpringref,
     JointStiffness,
+    MotorConstant,
     Numerics,
     Payload,
 )
@@ -73,6 +74,7 @@ MODEL = """
     </body>
   </worldbody>
   <actuator><motor name="push" joint="slide" gear="2"/>
+    <dcmotor name="dc" joint="hinge" motorconst="0.05" resistance="2" input="voltage"/>
     <position name="hold" joint="hinge" kp="30"/></actuator>
 </mujoco>"""
 
@@ -88,7 +90,9 @@ EXAMPLES = [
     ActuatorKp("hold", 0.7),
     ActuatorKv("push", 0.3),
     BodyCom("link", x=0.01, z=-0.02),
-    BodyInertia("link", mass=1.1, rotation=1.2, x=0.01),
+    BodyInertia("link", mass=1.1, rotation=1.2, x=0.01, xy=0.1),
+    MotorConstant("dc", 1.2),
+    ActuatorRotation("push hold", 0.3),
     ContactSoftness("*", 0.05),
     FluidDrag("world", density=1.2, viscosity=0.1),
     JointDrag("hinge", 0.4),
@@ -224,6 +228,37 @@ def test_actuator_gain_scales_what_a_command_does(nominal):
     assert changed(nominal, model) <= {"actuator_gainprm"} | DERIVED
 
 
+@pytest.mark.parametrize(
+    ("effect", "per_volt", "per_speed"),
+    [(ActuatorGain("dc", 0.5), 0.5, 0.5), (MotorConstant("dc", 2.0), 2.0, 4.0)],
+    ids=lambda x: getattr(x, "name", None),
+)
+def test_effects_on_a_dc_motor(effect, per_volt, per_speed, nominal):
+    """Torque = K / R (u - K v): the gain divides R, the constant is in front of the voltage once and of v twice."""
+
+    def torques(m):
+        found = []
+        for u, v in ((1.0, 0.0), (0.0, 1.0)):
+            data = mujoco.MjData(m)
+            data.ctrl[m.actuator("dc").id], data.joint("hinge").qvel = u, v
+            mujoco.mj_forward(m, data)
+            found.append(data.actuator("dc").force[0])
+        return np.array(found)
+
+    np.testing.assert_allclose(torques(compiled(effect)) / torques(nominal), [per_volt, per_speed])
+
+
+def test_body_inertia_stays_that_of_a_body(nominal):
+    """Ten numbers, and whatever they are the inertia is positive and its trace is what ``rotation`` says."""
+    model = compiled(BodyInertia("link", mass=2.0, rotation=1.5, x=0.01, xy=0.05, xx=0.03))
+    before, after = nominal.body("link"), model.body("link")
+    assert after.mass[0] == pytest.approx(2 * before.mass[0])
+    assert (after.inertia > 0).all() and after.inertia.max() < after.inertia.sum() / 2
+    np.testing.assert_allclose(after.ipos - before.ipos, [0.01, 0, 0], atol=1e-9)
+    assert np.prod(after.inertia) == pytest.approx(1.5**3 * np.prod(before.inertia)), "exp(E) of a traceless E"
+    assert np.abs(after.iquat - before.iquat).max() > 1e-3, "its axes turn"
+
+
 def test_contact_friction_sets_sliding_friction_alone(nominal):
     model = compiled(ContactFriction("floor", 0.1))
     assert model.geom("floor").friction.tolist() == [0.1, *nominal.geom("floor").friction[1:].tolist()]
@@ -355,7 +390,7 @@ def test_wrong_entries_are_refused_with_what_is_known(entry, message):
     [
         (BodyMass("blok", 1.0), "named 'blok'; it has: .*block, link"),
         (JointDamping("hing", 1.0), "no joint named 'hing'; it has: slide, hinge"),
-        (ActuatorGain("pull", 1.0), "no actuator named 'pull'; it has: push, hold"),
+        (ActuatorGain("pull", 1.0), "no actuator named 'pull'; it has: push, dc, hold"),
         (Color("bix", (0, 0, 0, 1)), "no geom named 'bix'; it has: floor, box, knob, rod"),
         (CameraPose("eye", 0, 0, 1, (0, 0, 0)), "no camera named 'eye'; it has: view"),
         (Texture("floor", flat=(0, 0, 0)), "'sky', got 'floor'"),

@@ -9,6 +9,7 @@ from idapt_pl.domains.paths import (
     ActuatorDeadzone,
     ActuatorDelay,
     ActuatorLag,
+    ActuatorRotation,
     ActuatorSaturation,
     Command,
     JointCogging,
@@ -52,6 +53,13 @@ def test_late_measurements_are_late_commands_of_all_actuators():
     late = SensorDelay("*", 0.25).transform(STEP, [], 0.01)
     assert at(late, np.array([1.2, 1.3]), 0).tolist() == [0.0, 2.0]
     assert at(late, np.array([1.2, 1.3]), 1).tolist() == [5.0, 6.0]
+
+
+def test_rotation_keeps_the_length_of_two_commands_and_a_quarter_turn_crosses_them():
+    turned = ActuatorRotation("a b", 0.3).transform(STEP, [0, 1], 0.01)
+    np.testing.assert_allclose(np.linalg.norm(turned.values, axis=1), np.linalg.norm(STEP.values, axis=1))
+    crossed = ActuatorRotation("a b", np.pi / 2).transform(STEP, [0, 1], 0.01).values
+    np.testing.assert_allclose(crossed, np.stack([-STEP.values[:, 1], STEP.values[:, 0]], 1), atol=1e-12)
 
 
 def test_lag_follows_the_exponential():

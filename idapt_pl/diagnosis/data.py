@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from datamodules import Trajectories
 
+log = logging.getLogger(__name__)
+
 
 class UnusableData(ValueError):
     """A recording does not fit the model, or cannot be used; the message says where and why."""
 
+
+LATE = 0.5
+"""Measured velocities that lag the positions by more control periods than this are not used."""
+
+SLOPE = 0.01
+"""Velocities that were not measured are slopes of the positions over about this time to either side [s]."""
 
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
@@ -64,6 +73,8 @@ class Windows:
 def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recording], bool]:
     """Episodes as recordings, and whether velocities were measured (else they are slopes of the positions).
 
+    Velocities that come late, as from filters or slow registers, count as not measured.
+
     Takes ``qpos`` and ``qvel``, or a ``state`` that is the two of them one after the other.
 
     Raises:
@@ -104,12 +115,33 @@ def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recordin
         raise UnusableData(
             f"{len(made)} episodes with {sum(len(a) for *_, a in made)} steps are too few to diagnose from"
         )
-    return [
-        Recording(name, t, q, np.asarray(v, float) if measured else slopes(model, t, q), a) for name, t, q, v, a in made
-    ], measured
+    sloped = [Recording(name, t, q, slopes(model, t, q), a) for name, t, q, _, a in made]
+    if not measured:
+        return sloped, False
+    shown = [replace(r, qvel=np.asarray(v, float)) for r, (*_, v, _) in zip(sloped, made, strict=True)]
+    late = lateness(shown, sloped)
+    if late > LATE * np.median(np.concatenate([np.diff(r.time) for r in shown])):
+        log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
+        return sloped, False
+    return shown, True
 
 
-def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = 0.01) -> np.ndarray:
+def lateness(shown: list[Recording], sloped: list[Recording]) -> float:
+    """By how much measured velocities lag the slopes of the positions [s]; 0 where a lag explains little.
+
+    Least squares on v_measured - v_slope = -lag dv/dt, over all coordinates.
+    """
+    gap = [a.qvel[1:-1] - b.qvel[1:-1] for a, b in zip(shown, sloped, strict=True)]
+    rate = [np.gradient(b.qvel, b.time, axis=0)[1:-1] for b in sloped]
+    gap, rate = np.concatenate(gap), np.concatenate(rate)
+    scale = rate.std(0) + 1e-12
+    gap, rate = (gap / scale).ravel(), (rate / scale).ravel()
+    lag = -float(gap @ rate) / max(float(rate @ rate), 1e-12)
+    explained = 1.0 - np.square(gap + lag * rate).sum() / max(np.square(gap).sum(), 1e-12)
+    return lag if explained > 0.25 else 0.0
+
+
+def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = SLOPE) -> np.ndarray:
     """Velocities as central slopes of the positions over about ``half_width`` seconds to either side, (T+1, nv)."""
     reach = max(1, round(half_width / float(np.median(np.diff(time)))))
     index = np.arange(len(time))

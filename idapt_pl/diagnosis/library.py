@@ -14,6 +14,10 @@ from idapt_pl.domains import effects as physics
 from idapt_pl.domains import paths
 from idapt_pl.domains.effects import Effect
 
+JOINT = mujoco.mjtTrn.mjTRN_JOINT
+SENSOR_GAIN = ((0.8, 1.25),)
+"""Position sensors are off by per cents; a larger scale imitates inertia and gravity."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -27,6 +31,7 @@ class Candidate:
         scale: what a noticeable change of each is about; fits work in units of it.
         starts: further places to start a fit from, each (parameters,).
         fixed: parameters that are not free.
+        span: narrower bounds, a pair for each parameter, where more would not be this effect any more.
     """
 
     kind: type[Effect]
@@ -36,6 +41,7 @@ class Candidate:
     scale: tuple[float, ...]
     starts: tuple[tuple[float, ...], ...] = ()
     fixed: tuple[tuple[str, object], ...] = ()
+    span: tuple[tuple[float, float], ...] | None = None
 
     @property
     def label(self) -> str:
@@ -48,7 +54,9 @@ class Candidate:
         return len(self.names)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Physical bounds of the parameters."""
+        """Bounds of the parameters."""
+        if self.span is not None:
+            return tuple(np.array(self.span, float).T)
         meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
         low, high = (np.array([meta[n][side] for n in self.names], float) for side in ("low", "high"))
         return low, high
@@ -160,7 +168,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 Candidate(physics.JointSpringref, name, ("springref",), (float(model.qpos_spring[q]),), (a.motion[v],))
             )
         found.append(Candidate(paths.SensorBias, name, ("bias",), (0.0,), (a.motion[v],)))
-        found.append(Candidate(paths.SensorGain, name, ("gain",), (1.0,), (0.2,)))
+        found.append(Candidate(paths.SensorGain, name, ("gain",), (1.0,), (0.2,), span=SENSOR_GAIN))
         torque = a.inertia[v] * a.speed[v] / a.horizon
         found.append(
             Candidate(
@@ -169,6 +177,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 ("coulomb", "static", "speed"),
                 (0.0, 0.0, a.speed[v] / 4),
                 (torque, torque, a.speed[v] / 4),
+                span=((0.0, 1e6), (0.0, 1e6), (a.speed[v] / 50, 10 * a.speed[v])),  # slower is plain dry friction
                 starts=tuple(
                     (c * torque, s * torque, f * a.speed[v]) for c, s in ((0.1, 0.2), (0.3, 1.0)) for f in (0.05, 0.3)
                 ),
@@ -215,6 +224,15 @@ def _bodies(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 (0.0,) * 4,
                 (mass, *(3 * reach,) * 3),
                 starts=((0.2 * mass, 0.0, 0.0, 0.0), (0.2 * mass, 3 * reach, 0.0, 3 * reach)),
+            )
+        )
+        found.append(
+            Candidate(
+                physics.BodyInertia,
+                name,
+                ("mass", "rotation", "x", "y", "z", "xx", "yy", "xy", "xz", "yz"),
+                (1.0, 1.0, *(0.0,) * 8),
+                (0.5, 0.5, *(reach,) * 3, *(0.5,) * 5),
             )
         )
     roots = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0 and model.body(b).name and moves(model, b)]
@@ -276,14 +294,28 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
 
 
 def _servos(model: mujoco.MjModel) -> list[Candidate]:
-    servos = [i for i in range(model.nu) if model.actuator_biasprm[i, 1] and model.actuator(i).name]
+    """Gains of servos and constants of motors, and what crossed wires do."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    dc = [i for i in range(model.nu) if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR]
+    others = [i for i in range(model.nu) if i not in dc]
+    servos = [i for i in others if model.actuator_biasprm[i, 1]]
+    # where a joint is driven, velocity feedback is its damping by another name; but only feedback can be taken away
+    fed_back = [i for i in others if model.actuator_biasprm[i, 2] < 0 or model.actuator_trntype[i] != JOINT]
     stiff = [
-        Candidate(
-            physics.ActuatorKp, model.actuator(i).name, ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,))
-        )
+        Candidate(physics.ActuatorKp, names[i], ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,)))
         for i in servos
     ]
-    return stiff + _shared(stiff)
+    constant = [Candidate(physics.MotorConstant, names[i], ("factor",), (1.0,), (0.3,)) for i in dc]
+    feedback = []
+    for i in fed_back:
+        kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
+        feedback.append(Candidate(physics.ActuatorKv, names[i], ("kv",), (kv,), (kv or 0.1,), starts=((0.3 * kv,),)))
+    crossed = [
+        Candidate(paths.ActuatorRotation, f"{names[i]} {names[i + 1]}", ("angle",), (0.0,), (0.3,), starts=((1.57,),))
+        for i in range(model.nu - 1)
+    ]
+    named = [c for c in (*stiff, *constant, *feedback) if c.target]
+    return named + [s for kind in (stiff, constant, feedback) for s in _shared(kind)] + crossed
 
 
 def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from idapt_pl.diagnosis.figures import STYLE, svg
 from idapt_pl.diagnosis.repaired import Repaired
-from idapt_pl.diagnosis.search import Diagnosis, Tried
+from idapt_pl.diagnosis.search import Diagnosis
+from idapt_pl.diagnosis.state import Tried
 from idapt_pl.diagnosis.words import (
     error_rows,
     estimate,

@@ -64,8 +64,10 @@ def write_model(path: Path, xml: str) -> None:
 
 
 def log_to_tensorboard(folder: Path, diagnosis: Diagnosis, drawn: dict[str, Figure]) -> None:
-    """Errors, estimates with their intervals, the verdict and the figures."""
+    """Errors, estimates with their intervals, the verdict and the figures; events of an earlier run are removed."""
     report = diagnosis.report
+    for old in folder.glob("events.out.tfevents.*"):
+        old.unlink()
     with SummaryWriter(folder) as writer:
         for name in ("before", "after", "noise_floor", "ceiling", "removed_share"):
             writer.add_scalar(f"error/{name}", report["error"][name], 0)

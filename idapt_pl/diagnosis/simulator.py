@@ -21,6 +21,9 @@ COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
+HELD = 1e-3
+"""Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
+
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
 _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
@@ -56,6 +59,8 @@ class Simulator:
         self.threads = threads or os.cpu_count() or 1
         self.calls = 0
         self._commands: dict = {}
+        self._samples: dict = {}
+        self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
 
     @property
     def channels(self) -> list[str]:
@@ -70,11 +75,20 @@ class Simulator:
 
     def compile(self, effects: Effects) -> mujoco.MjModel:
         """The model with those effects that MJCF can say; command effects act on the commands instead."""
-        spec = self.spec.copy()
-        for effect in effects:
-            if not isinstance(effect, CommandEffect | ForceEffect | SensingEffect):
+        return self._ready(effects)[0]
+
+    def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
+        """The model and room to simulate it, for each thread; the last few are kept."""
+        said = tuple(e for e in effects if not isinstance(e, CommandEffect | ForceEffect | SensingEffect))
+        if said not in self._compiled:
+            if len(self._compiled) >= 8:
+                self._compiled.pop(next(iter(self._compiled)))
+            spec = self.spec.copy()
+            for effect in said:
                 effect.apply(spec)
-        return spec.compile()
+            model = spec.compile()
+            self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
+        return self._compiled[said]
 
     def residual(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> np.ndarray:
         """Measured minus predicted at every sample, (n, j, channels).
@@ -96,7 +110,7 @@ class Simulator:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
         self.calls += 1
-        model = self.compile(effects)
+        model, data = self._ready(effects)
         qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
         if nudge is not None:
             qpos, qvel = shift(model, qpos, nudge[: model.nv]), qvel + nudge[model.nv :]
@@ -108,21 +122,27 @@ class Simulator:
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
         controls = self._controls(effects, windows, steps, model.opt.timestep)
         with silence():
-            states = self._roll(model, effects, times[:, 0], qpos, qvel, controls)
+            states = self._roll(model, data, effects, times[:, 0], qpos, qvel, controls)
         qpos, qvel = read_off(model, states, ends)
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
 
     def _times(self, windows: Windows) -> np.ndarray:
-        span = np.arange(windows.offsets[-1] + 1)
-        return np.stack([self.data[e].time[s + span] for e, s in zip(windows.episode, windows.start, strict=True)])
+        return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
 
     def _measured(self, windows: Windows, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pairs = list(zip(windows.episode, windows.start, strict=True))
-        return tuple(
-            np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs]) for name in ("qpos", "qvel")
-        )
+        return self._of("qpos", windows, offsets), self._of("qvel", windows, offsets)
+
+    def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
+        """One channel of the recordings at samples of every window, (n, offsets, ...); the last few are kept."""
+        key = (name, windows.start.tobytes(), windows.episode.tobytes(), offsets.tobytes())
+        if key not in self._samples:
+            if len(self._samples) >= 32:
+                self._samples.pop(next(iter(self._samples)))
+            pairs = zip(windows.episode, windows.start, strict=True)
+            self._samples[key] = np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs])
+        return self._samples[key]
 
     def _joints(self, target: str) -> list[int]:
         m = self.model
@@ -147,13 +167,11 @@ class Simulator:
     def _average(self, effects: tuple[CommandEffect, ...], windows: Windows, steps: int, h: float) -> np.ndarray:
         nu = self.model.nu
         out = np.zeros((len(windows), steps, nu))
-        names = [self.model.actuator(i).name for i in range(nu)]
         for e in np.unique(windows.episode) if nu else ():
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions)
             for effect in effects:
-                columns = [i for i in range(nu) if effect.target in ("*", names[i])]
-                command = effect.transform(command, columns, h)
+                command = effect.transform(command, effect.columns(self.model), h)
             # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
             early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
             edges = np.concatenate([[early], command.edges[: len(command.values)], [late]])
@@ -164,7 +182,7 @@ class Simulator:
                 out[rows, :, i] = np.diff(np.interp(at, edges, total[:, i]), axis=1) / h
         return out
 
-    def _roll(self, model, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
+    def _roll(self, model, data, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
         """States after every step, the first one in front: (n, steps + 1, size)."""
         n, steps, _ = controls.shape
         start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
@@ -172,19 +190,23 @@ class Simulator:
         start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
         if model.na and controls.shape[2] == model.na:
             start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
-        data = [mujoco.MjData(model) for _ in range(self.threads)]
         forces = [e for e in effects if isinstance(e, ForceEffect)]
         if not forces:
             states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        states = [start]
-        for k in range(steps):
-            applied = self._forces(model, forces, states[-1])
-            step = np.concatenate([controls[:, k], applied], 1)[:, None]
+        states, held = [start], max(1, int(HELD / model.opt.timestep + 1e-6))
+        for k in range(0, steps, held):
+            commands = controls[:, k : k + held]
+            applied = np.repeat(self._forces(model, forces, states[-1])[:, None], commands.shape[1], 1)
             after, _ = rollout.rollout(
-                model, data, states[-1], step, control_spec=int(COMMAND_AND_FORCE), persistent_pool=True
+                model,
+                data,
+                states[-1],
+                np.concatenate([commands, applied], 2),
+                control_spec=int(COMMAND_AND_FORCE),
+                persistent_pool=self.threads > 1,
             )
-            states.append(after[:, 0])
+            states += list(after.transpose(1, 0, 2))
         return np.stack(states, 1)
 
     def _forces(self, model: mujoco.MjModel, forces: Sequence[ForceEffect], state: np.ndarray) -> np.ndarray:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from idapt_pl.diagnosis.data import Recording, Windows, difference
+from idapt_pl.diagnosis.data import SLOPE, Recording, Windows, difference, slopes
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 
+Predict = Callable[[Effects], np.ndarray]
+"""Whitened residuals under some effects, (n, rows)."""
+
 HUBER = 4.0
 """Whitened residuals beyond this many sigma count linearly: a few contacts must not decide."""
+
+
+PULL = 0.2
+"""Weight of the first guess of a variance, in units of what a residual of every window weighs."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +32,28 @@ class Noise:
     start: np.ndarray
 
 
-def initial_sensitivity(sim: Simulator, effects: Effects, windows: Windows, base: np.ndarray) -> np.ndarray:
-    """D residual / d first state, (n, j, channels, 2 nv), by finite differences."""
-    nv = sim.model.nv
-    columns = []
-    for i in range(2 * nv):
-        nudge = np.zeros(2 * nv)
-        nudge[i] = 1e-5 if i < nv else 1e-4
-        columns.append((sim.residual(effects, windows, nudge) - base) / nudge[i])
-    return np.stack(columns, -1)
+@dataclass(frozen=True)
+class Sensitivity:
+    """How residuals depend on the first state of their window, by central differences of a finite size.
+
+    Attributes:
+        slope: d residual / d first state, (n, j, channels, 2 nv).
+        bend: half the second derivative, along each coordinate, (n, j, channels, 2 nv). Small where things are smooth,
+            large where the noise decides when a contact begins.
+    """
+
+    slope: np.ndarray
+    bend: np.ndarray
+
+
+def initial_sensitivity(sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray) -> Sensitivity:
+    """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise."""
+    base, slope, bend = sim.residual(effects, windows), [], []
+    for nudge in np.diag(size):
+        above, below = (sim.residual(effects, windows, n) for n in (nudge, -nudge))
+        slope.append((above - below) / (2 * nudge.sum()))
+        bend.append((above + below - 2 * base) / (2 * nudge.sum() ** 2))
+    return Sensitivity(np.stack(slope, -1), np.stack(bend, -1))
 
 
 def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:
@@ -48,36 +68,109 @@ def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: b
     return parts
 
 
-def estimate_noise(sim: Simulator, residual: np.ndarray, S0: np.ndarray) -> Noise:
-    """Noise that explains the robust spread of the residuals, no larger than the smoothness of the data allows.
+def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
+    """Noise that explains the typical residuals, no larger than the smoothness of the data allows.
 
-    Var(r_ji) = σ_i² + Σ_c S_jic² σ_c² is linear in the variances: non-negative least squares. Where the
-    model is wrong this is too large, so it is made again after each effect that is added.
+    Where the model is wrong this is too large, so it is made again after each effect that is added.
+
+    Args:
+        sim: the simulator.
+        effects: of the current model.
+        windows: short ones, of two control steps where velocities were measured.
     """
-    nv, channels = sim.model.nv, residual.shape[-1]
-    residual, S0 = residual[:, :2], S0[:, :2]  # the earliest samples: less of the model, more of the sensors
-    spread = np.square(1.4826 * np.median(np.abs(residual), 0)) + 1e-30  # (j, channels)
-    through = np.median(np.square(S0), 0)  # (j, channels, 2 nv)
-    own = np.broadcast_to(np.eye(channels), (len(spread), channels, channels))
-    # measured velocities: the first state comes from the same sensors; else its velocity has a noise of its own
-    A = own + through if sim.velocities else np.concatenate([own + through[..., :nv], through[..., nv:]], -1)
-    A = (A / spread[..., None]).reshape(-1, A.shape[-1])
-    variances, _ = nnls(A, np.ones(len(A)), maxiter=50 * A.shape[1])
-    smooth = smoothness_noise(sim.model, sim.data, sim.velocities)
-    limit = np.concatenate(smooth)
-    limit = np.concatenate([limit, np.full(len(variances) - channels, np.inf)])
-    low = 0.01 * np.where(np.isfinite(limit), limit, 0.0) + 1e-9
-    sigma = np.clip(np.sqrt(variances), low, np.maximum(limit, low))
+    residual, A = (from_steps if sim.velocities else from_windows)(sim, effects, windows)
+    channels, nv = residual.shape[-1], sim.model.nv
+    limit = np.concatenate(smoothness_noise(sim.model, sim.data, sim.velocities))
+    if not sim.velocities:
+        limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
+    low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
+    sigma = np.clip(np.sqrt(variances(A, residual)), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
-    slope = np.maximum(sigma[channels:], 0.3 * sigma[:nv] / max(np.median(np.diff(sim.data[0].time)), 1e-6) * 0.1)
-    return Noise(sigma[:channels], np.concatenate([sigma[:nv], slope]))
+    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], bent=0.0))
+    return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
 
 
-def whitener(S0: np.ndarray, noise: Noise) -> np.ndarray:
-    """W_k with W_k r_k white under the model: R_k = Σ + S₀ Σ₀ S₀ᵀ, W = chol(R)⁻¹, (n, rows, rows)."""
-    n, j, channels, _ = S0.shape
-    S = S0.reshape(n, j * channels, -1) * noise.start
+def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
+    """Standard deviation of velocities that are slopes of positions, (nv,).
+
+    Args:
+        model: the model.
+        data: recordings.
+        sensors: noise of the positions, (nv,).
+        bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
+    """
+    narrow, wide = (np.concatenate([slopes(model, r.time, r.qpos, w) for r in data]) for w in (SLOPE, 2 * SLOPE))
+    dt = float(np.median(np.diff(data[0].time)))
+    random = 2**0.5 * sensors / (2 * dt * max(1, round(SLOPE / dt)))
+    return np.hypot(random, bent * 1.4826 * np.median(np.abs(narrow - wide), 0) / 3)
+
+
+def from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Changes from one single-step residual to the next, (n, 1, channels), and A with their variances A v.
+
+    With noise n_k of sample k, a residual is n_{k+1} + S_k n_k. What the model gets wrong mostly lasts longer than a
+    control step, and cancels in e_{k+1} - e_k = n_{k+2} + (S_{k+1} - 1) n_{k+1} - S_k n_k.
+    """
+    first, second = (Windows(windows.episode, windows.start + k, np.array([1])) for k in (0, 1))
+    (e0, S0), (e1, S1) = (slopes_at(sim, effects, w) for w in (first, second))
+    one = np.eye(e0.shape[-1])
+    return e1 - e0, one + np.square(S1 - one) + np.square(S0)
+
+
+def from_windows(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """The earliest residuals of windows, (n, 2, channels), and A with their variances A v, for positions alone.
+
+    The velocity that a window starts with then has a noise of its own.
+    """
+    residual, S = slopes_at(sim, effects, windows)
+    through, nv = np.square(S[:, :2]), sim.model.nv
+    return residual[:, :2], np.concatenate([np.eye(nv) + through[..., :nv], through[..., nv:]], -1)
+
+
+def slopes_at(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n, j, channels) and their derivatives with respect to the first state, (n, j, channels, 2 nv)."""
+    base, small = sim.residual(effects, windows), np.repeat([1e-5, 1e-4], sim.model.nv)
+    return base, np.stack([(sim.residual(effects, windows, n) - base) / n.sum() for n in np.diag(small)], -1)
+
+
+def variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.ndarray:
+    """Non-negative v with Var(residual) = A v, from residuals of which some are outliers.
+
+    Iteratively re-weighted least squares on the squares; beyond three sigma they do not count. A little weight on equal
+    shares of sensor and first state settles what the residuals leave open.
+
+    Args:
+        A: (n, j, channels, p).
+        residual: (n, j, channels).
+        rounds: of re-weighting.
+    """
+    n, p = len(A), A.shape[-1]
+    spread = np.square(1.4826 * np.median(np.abs(residual[:, 0]), 0)) + 1e-30
+    typical, channels = np.median(A[:, 0], 0), len(spread)
+    guess = spread / typical[:, :channels].diagonal()
+    if p > channels:
+        guess = np.concatenate([guess, spread / np.maximum(typical[:, channels:].diagonal(), 1e-12)])
+    v, rows, squares = guess, A.reshape(-1, p), np.square(residual).ravel() + 1e-30
+    for _ in range(rounds):
+        expected = rows @ v + 1e-30
+        expected *= max(1.0, float(np.median(squares / expected)) / 0.455)  # the median of chi²
+        keep = squares < 9 * expected
+        left, right = rows[keep] / expected[keep, None], squares[keep] / expected[keep] / 0.973
+        pull = PULL * np.sqrt(n) / guess
+        v, _ = nnls(np.concatenate([left, np.diag(pull)]), np.concatenate([right, pull * guess]), maxiter=100 * p)
+    return v
+
+
+def whitener(at: Sensitivity, noise: Noise) -> np.ndarray:
+    """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, rows).
+
+    R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
+    last, windows in which the noise decides whether a foot touches the floor would outweigh all others.
+    """
+    n, j, channels, _ = at.slope.shape
+    S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start)], -1)
+    S = S.reshape(n, j * channels, -1)
     R = S @ S.transpose(0, 2, 1)
     own = np.tile(noise.sensors, j)
     R[:, np.arange(j * channels), np.arange(j * channels)] += np.square(own)
@@ -109,7 +202,7 @@ class Fit:
     Attributes:
         x: their parameters, one array for each candidate.
         loss: mean robust loss on the windows fitted.
-        J: d whitened residual / d (x / scale), (rows, p).
+        J: d whitened residual / d (x / scale) where the last step began, (rows, p).
         z: whitened residuals, (n, rows a window).
     """
 
@@ -125,10 +218,10 @@ def effects_of(candidates: Sequence[Candidate], x: Sequence[np.ndarray]) -> Effe
 
 
 def jacobian(
-    sim: Simulator, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], windows: Windows,
-    W: np.ndarray, z: np.ndarray, step: float = 0.02,
+    z: Predict, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], base: np.ndarray,
+    step: float = 0.02,
 ) -> np.ndarray:  # fmt: skip
-    """D z / d (x / scale), (n rows, p), by one-sided differences that stay inside the bounds."""
+    """D z / d (x / scale), (n rows, p), by one-sided differences that stay inside the bounds; ``base`` is z at x."""
     columns = []
     for i, c in enumerate(candidates):
         _, high = c.bounds()
@@ -137,39 +230,39 @@ def jacobian(
             h = -h if x[i][k] + h > high[k] else h
             moved = [v.copy() for v in x]
             moved[i][k] += h
-            z_moved = whiten(W, sim.residual((*fixed, *effects_of(candidates, moved)), windows))
-            columns.append((z_moved - z).ravel() / (h / c.scale[k]))
+            columns.append((z((*fixed, *effects_of(candidates, moved))) - base).ravel() / (h / c.scale[k]))
     return np.stack(columns, 1)
 
 
 def gauss_newton(
-    sim: Simulator, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], windows: Windows,
-    W: np.ndarray, iterations: int = 8,
-) -> Fit:  # fmt: skip
-    """Iteratively re-weighted Levenberg-Marquardt through the simulator, in units of the scales, inside the bounds."""
+    z: Predict, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], iterations: int = 8
+) -> Fit:
+    """Iteratively re-weighted Levenberg-Marquardt through the simulator, in units of the scales, inside the bounds.
+
+    Args:
+        z: whitened residuals under some effects, (n, rows).
+        fixed: effects that are not fitted.
+        candidates: effects that are.
+        x: where to start, one array for each candidate.
+        iterations: at most so many.
+    """
     scale = np.concatenate([c.scale for c in candidates])
     splits = np.cumsum([c.size for c in candidates])[:-1]
     low, high = (np.concatenate(b) for b in zip(*(c.bounds() for c in candidates), strict=True))
 
     def at(v: np.ndarray) -> np.ndarray:
-        return whiten(W, sim.residual((*fixed, *effects_of(candidates, np.split(v, splits))), windows))
+        return z((*fixed, *effects_of(candidates, np.split(v, splits))))
 
     v = np.clip(np.concatenate([np.asarray(a, float) for a in x]), low, high)
-    z = at(v)
-    loss, damping = float(window_loss(z).mean()), 1e-3
-    J = None
+    now = at(v)
+    loss, damping = float(window_loss(now).mean()), 1e-3
     for _ in range(iterations):
-        J = jacobian(sim, fixed, candidates, np.split(v, splits), windows, W, z)
-        weight = 1.0 / np.maximum(1.0, np.abs(z.ravel()) / HUBER)
-        g, H = J.T @ (weight * z.ravel()), J.T @ (weight[:, None] * J)
+        J = jacobian(z, fixed, candidates, np.split(v, splits), now)
+        weight = 1.0 / np.maximum(1.0, np.abs(now.ravel()) / HUBER)
+        g, H = J.T @ (weight * now.ravel()), J.T @ (weight[:, None] * J)
         improved = False
         for _ in range(4):
-            damped = H + damping * np.diag(np.diag(H) + 1e-12)
-            free = ~(((v <= low) & (g > 0)) | ((v >= high) & (g < 0)))
-            move = np.zeros_like(v)
-            if free.any():
-                move[free] = -np.linalg.lstsq(damped[np.ix_(free, free)], g[free], rcond=1e-12)[0]
-            trial = np.clip(v + np.clip(move, -20, 20) * scale, low, high)
+            trial = step_to(v, g, H + damping * np.diag(np.diag(H) + 1e-12), scale, low, high)
             z_trial = at(trial)
             trial_loss = float(window_loss(z_trial).mean())
             if trial_loss < loss:
@@ -179,11 +272,21 @@ def gauss_newton(
         if not improved:
             break
         gain = loss - trial_loss
-        v, z, loss, damping = trial, z_trial, trial_loss, damping / 5
+        v, now, loss, damping = trial, z_trial, trial_loss, damping / 5
         if gain < 1e-4 * loss:
             break
-    J = jacobian(sim, fixed, candidates, np.split(v, splits), windows, W, z)
-    return Fit(tuple(np.split(v, splits)), loss, J, z)
+    return Fit(tuple(np.split(v, splits)), loss, J, now)
+
+
+def step_to(
+    v: np.ndarray, g: np.ndarray, H: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Where a damped step leads, at most 20 scales away; parameters at a bound that push against it stay."""
+    free = ~(((v <= low) & (g > 0)) | ((v >= high) & (g < 0)))
+    move = np.zeros_like(v)
+    if free.any():
+        move[free] = -np.linalg.lstsq(H[np.ix_(free, free)], g[free], rcond=1e-12)[0]
+    return np.clip(v + np.clip(move, -20, 20) * scale, low, high)
 
 
 def covariance(fit: Fit, clusters: np.ndarray) -> np.ndarray:

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.statistics import window_loss
-from idapt_pl.domains.effects import Effect
+from idapt_pl.diagnosis.data import cut
+from idapt_pl.diagnosis.screening import Screen
+from idapt_pl.diagnosis.state import Found, Search, Tried
+from idapt_pl.diagnosis.statistics import effects_of, window_loss
+from idapt_pl.diagnosis.words import unit_at
+from idapt_pl.domains.effects import Effect, Numerics
 from idapt_pl.domains.paths import ActuatorDelay
-
-if TYPE_CHECKING:
-    from idapt_pl.diagnosis.search import Found, Search, Tried
 
 
 def judge(search: Search, tried: list[Tried]) -> dict:
     """The report: verdict, errors on held-out episodes before and after, effects, candidates, signature."""
-    sim, state = search.sim, search.state
-    nominal = search.held_out.z(sim, search.declared)
-    final = search.held_out.z(sim, state.effects)
+    sim = search.sim
+    nominal, final = (search.z(search.held_out, e) for e in (search.declared, search.effects))
     before, after = (float(np.sqrt(window_loss(z).mean())) for z in (nominal, final))
     removable_before = black_box(search, search.declared, nominal)
-    removable = black_box(search, state.effects, final)
+    removable = black_box(search, search.effects, final)
     verdict = decide(search, before, after, float(np.median(window_loss(final))), removable)
     physical = {
         "before": rms(sim.residual(search.declared, search.held_out.windows)),
-        "after": rms(sim.residual(state.effects, search.held_out.windows)),
+        "after": rms(sim.residual(search.effects, search.held_out.windows)),
     }
-    sensors = state.noise.sensors
+    sensors = search.noise.sensors
     return {
         "schema": "idapt.diagnosis/1",
         "verdict": verdict,
@@ -57,8 +56,8 @@ def judge(search: Search, tried: list[Tried]) -> dict:
                 )
             },
         },
-        "effects": [describe(f, search) for f in state.found]
-        + [numerical(e, sim) for e in state.fixed if e.name == "numerics" and e not in search.declared],
+        "effects": [describe(f, search) for f in search.found]
+        + [numerical(e, sim.model) for e in search.fixed if e.name == "numerics" and e not in search.declared],
         "declared": [e.to_dict() for e in search.declared],
         "candidates": [candidate(t) for t in sorted(tried, key=lambda t: (t.round, -t.score)) if t.rejected_because][
             :200
@@ -89,7 +88,7 @@ def units(sim) -> list[str]:
 def decide(search: Search, before: float, after: float, median_after: float, removable: float) -> str:
     """The verdict; a remainder counts only if it is typical of the windows or could be predicted."""
     left_over = after**2 > 1.6 and (median_after > 1.5 or removable > 0.25)
-    if search.state.found:
+    if search.found:
         poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0
         return "unexplained_residual" if left_over and poor else "effects_found"
     if left_over and (removable > 0.1 or median_after > 2.0):
@@ -103,10 +102,9 @@ def too_quiet(search: Search) -> bool:
     wanted = wanted or [c for c in search.candidates if c.kind.name == "body_mass"]
     if not wanted:
         return False
-    z = search.screen.z(search.sim, search.state.effects)
-    limits = []
+    screen, limits = Screen(search, search.screen, search.z), []
     for c in wanted:
-        D = search.derivative([c], [np.array(c.nominal)], z)
+        D = screen.derivative(c, np.array(c.nominal))
         limits.append(search.settings.z * c.scale[0] / max(float(np.linalg.norm(D)), 1e-12) / c.nominal[0])
     return float(np.median(limits)) > 0.5
 
@@ -132,7 +130,7 @@ def features(search: Search, windows) -> np.ndarray:
 
 def black_box(search: Search, effects: tuple[Effect, ...], z_held: np.ndarray) -> float:
     """Share of the held-out squared error that a ridge regression on state and commands predicts (R²)."""
-    z_fit = search.fit.z(search.sim, effects)
+    z_fit = search.z(search.fit, effects)
     both = np.concatenate([search.fit.windows.start, search.held_out.windows.start])
     windows = type(search.fit.windows)(
         np.concatenate([search.fit.windows.episode, search.held_out.windows.episode]), both, search.fit.windows.offsets
@@ -152,11 +150,9 @@ def black_box(search: Search, effects: tuple[Effect, ...], z_held: np.ndarray) -
 
 def describe(f: Found, search: Search) -> dict:
     """One accepted effect in the words of report.json."""
-    without = [g for g in search.state.found if g is not f]
-    error = window_loss(search.held_out.z(search.sim, search.state.effects)).mean()
-    drop = window_loss(
-        search.held_out.z(search.sim, (*search.state.fixed, *(g.candidate.effect(g.x) for g in without)))
-    ).mean()
+    without = [g for g in search.found if g is not f]
+    rest = effects_of([g.candidate for g in without], [g.x for g in without])
+    error, drop = (search.loss(e).mean() for e in (search.effects, (*search.fixed, *rest)))
     effect = f.candidate.effect(f.x)
     return {
         "effect": effect.name,
@@ -166,7 +162,7 @@ def describe(f: Found, search: Search) -> dict:
                 "nominal": float(f"{nominal:.6g}"),
                 "estimate": float(f"{value:.6g}"),
                 "ci95": [float(f"{v:.6g}") for v in interval],
-                "unit": unit,
+                "unit": unit_at(search.sim.model, f.candidate.target, unit),
             }
             for name, nominal, value, interval, unit in zip(
                 f.candidate.names, f.candidate.nominal, f.x, f.interval, f.candidate.units(), strict=True
@@ -196,23 +192,19 @@ def inseparable(f: Found, search: Search) -> list[dict]:
     return [{"effect": "sensor_delay", "target": "*", "parameters": {"delay": float(f"{f.x[0]:.6g}")}, "why": why}]
 
 
-def numerical(effect, sim) -> dict:
-    """Numerics as an effect of the report: discrete, so without intervals."""
-    return {
-        "effect": "numerics",
-        "target": "world",
-        "parameters": {
-            "timestep": {
-                "nominal": float(sim.model.opt.timestep),
-                "estimate": effect.timestep,
-                "ci95": None,
-                "unit": "s",
-            },
-            "integrator": {"nominal": "model's", "estimate": effect.integrator, "ci95": None, "unit": ""},
-        },
-        "error_after": None,
-        "equivalent": [],
+def numerical(effect: Numerics, model: mujoco.MjModel) -> dict:
+    """Numerics as an effect of the report: discrete, so without intervals; only what differs is listed."""
+    integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
+    rows = [
+        ("timestep", float(model.opt.timestep), effect.timestep, "s"),
+        ("integrator", integrator, effect.integrator.lower(), ""),
+    ]
+    parameters = {
+        name: {"nominal": nominal, "estimate": estimate, "ci95": None, "unit": unit}
+        for name, nominal, estimate, unit in rows
+        if nominal != estimate
     }
+    return {"effect": "numerics", "target": "world", "parameters": parameters, "error_after": None, "equivalent": []}
 
 
 def candidate(t: Tried) -> dict:
@@ -236,7 +228,7 @@ def signature(search: Search, z: np.ndarray) -> str:
     by_channel = np.square(np.clip(z, -20, 20)).reshape(len(z), -1, len(sim.channels)).mean((0, 1))
     worst = int(np.argmax(by_channel))
     w = search.held_out.windows
-    residual = sim.residual(search.state.effects, w)[..., worst][:, -1]
+    residual = sim.residual(search.effects, w)[..., worst][:, -1]
     at = [(sim.data[e], s) for e, s in zip(w.episode, w.start, strict=True)]
     nv, names = sim.model.nv, sim.channels[: sim.model.nv]
     signals = {"1": np.ones(len(at)), "time in the episode": np.array([r.time[s] - r.time[0] for r, s in at])}
@@ -272,12 +264,10 @@ def dominant_period(search: Search, channel: int) -> float | None:
     """Period of a residual that repeats in time, from consecutive windows of the longest held-out episode."""
     sim = search.sim
     e = max(search.held_out_episodes, key=lambda i: len(sim.data[i]))
-    from idapt_pl.diagnosis.data import cut
-
     windows = cut(sim.data, np.array([e]), search.steps, 5, 10**6, 0)
     if len(windows) < 16:
         return None
-    r = sim.residual(search.state.effects, windows)[:, -1, channel]
+    r = sim.residual(search.effects, windows)[:, -1, channel]
     power = np.square(np.abs(np.fft.rfft((r - r.mean()) * np.hanning(len(r)))))
     k = int(np.argmax(power[1:])) + 1
     return len(r) * search.horizon / k if power[k] > 0.4 * power[1:].sum() and k > 1 else None
@@ -285,7 +275,7 @@ def dominant_period(search: Search, channel: int) -> float | None:
 
 def advice(search: Search, verdict: str) -> str:
     """What to record next."""
-    confounded = [f for f in search.state.found if f.equivalent]
+    confounded = [f for f in search.found if f.equivalent]
     if verdict == "insufficient_excitation":
         return (
             "Larger and more varied commands on every actuator (multisines over the range, steps, holds): "
@@ -306,10 +296,10 @@ def advice(search: Search, verdict: str) -> str:
 def separating(search: Search, f: Found) -> str:
     """The recorded window on which two indistinguishable explanations disagree most: do more of that."""
     t = f.equivalent[0]
-    others = tuple(g.candidate.effect(g.x) for g in search.state.found if g is not f)
+    others = tuple(g.candidate.effect(g.x) for g in search.found if g is not f)
     w = search.fit.windows
-    a = search.fit.z(search.sim, (*search.state.fixed, *others, f.candidate.effect(f.x)))
-    b = search.fit.z(search.sim, (*search.state.fixed, *others, t.candidate.effect(t.x[-1])))
+    a = search.z(search.fit, (*search.fixed, *others, f.candidate.effect(f.x)))
+    b = search.z(search.fit, (*search.fixed, *others, t.candidate.effect(t.x[-1])))
     k = int(np.argmax(np.square(np.clip(a - b, -50, 50)).sum(1)))
     r, s = search.sim.data[w.episode[k]], w.start[k]
     speed = np.abs(r.qvel[s]) / (

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from scipy.linalg import expm
 
 EFFECTS: dict[str, type[Effect]] = {}
 
@@ -174,14 +175,35 @@ class JointArmature(_JointEffect):
 
 @dataclass(frozen=True)
 class ActuatorGain(Effect):
-    """Scales what a command does: 1 is nominal, 0.8 is a motor that has lost a fifth."""
+    """Scales what a command does: 1 is nominal, 0.8 is a motor that has lost a fifth.
+
+    Of a ``dcmotor`` it divides the resistance, which scales the torque of a voltage and the back-EMF alike.
+    """
 
     name: ClassVar[str] = "actuator_gain"
     gain: float = parameter("1", 0.0, 1e3)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in elements(spec, "actuators", self.target):
-            actuator.gainprm[0] *= self.gain
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                actuator.gainprm[0] /= max(self.gain, 1e-6)
+            else:
+                actuator.gainprm[0] *= self.gain
+
+
+@dataclass(frozen=True)
+class MotorConstant(Effect):
+    """Torque constant of a ``dcmotor`` relative to nominal; its back-EMF constant goes along."""
+
+    name: ClassVar[str] = "motor_constant"
+    factor: float = parameter("1", 1e-3, 1e3)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                actuator.gainprm[1] *= self.factor
+            elif self.target != "*":
+                raise ValueError(f"motor_constant: actuator {actuator.name!r} is not a dcmotor")
 
 
 @dataclass(frozen=True)
@@ -232,10 +254,11 @@ def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:
     model = spec.copy().compile()
     for body in bodies:
         compiled = model.body(body.name) if body.name else model.body(body.id)
-        if not body.explicitinertial:
+        if not body.explicitinertial or not np.isnan(body.fullinertia[0]):
             body.explicitinertial = True
             body.mass = float(compiled.mass[0])
             body.ipos, body.iquat, body.inertia = compiled.ipos, compiled.iquat, compiled.inertia
+            body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given
     return bodies
 
 
@@ -255,7 +278,11 @@ class BodyCom(Effect):
 
 @dataclass(frozen=True)
 class BodyInertia(Effect):
-    """Mass, centre and rotational inertia of a body at once, each relative to what the model has."""
+    """Mass, centre and rotational inertia of a body at once, relative to what the model has: ten numbers.
+
+    The inertia about the centre, in the body's principal axes, becomes √I exp(E) √I with E symmetric, so that it stays
+    positive; MuJoCo balances one that no body could have. ``rotation`` scales it as a whole.
+    """
 
     name: ClassVar[str] = "body_inertia"
     mass: float = parameter("1", 1e-3, 1e3, default=1.0)
@@ -263,13 +290,31 @@ class BodyInertia(Effect):
     x: float = parameter("m", -1e2, 1e2, default=0.0)
     y: float = parameter("m", -1e2, 1e2, default=0.0)
     z: float = parameter("m", -1e2, 1e2, default=0.0)
+    xx: float = parameter("1", -5.0, 5.0, default=0.0)
+    yy: float = parameter("1", -5.0, 5.0, default=0.0)
+    xy: float = parameter("1", -5.0, 5.0, default=0.0)
+    xz: float = parameter("1", -5.0, 5.0, default=0.0)
+    yz: float = parameter("1", -5.0, 5.0, default=0.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for body in explicit_inertial(spec, self.target):
             body.mass *= self.mass
-            body.inertia = np.asarray(body.inertia) * self.rotation
-            body.fullinertia = np.asarray(body.fullinertia) * self.rotation
             body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
+            body.inertia = np.asarray(body.inertia) * self.rotation
+            if any((self.xx, self.yy, self.xy, self.xz, self.yz)):
+                self.deform(body)
+                spec.compiler.balanceinertia = True
+
+    def deform(self, body: Any) -> None:
+        """Apply exp(E); the trace of E is zero, as ``rotation`` is there for the rest."""
+        E = np.array([[self.xx, self.xy, self.xz], [self.xy, self.yy, self.yz], [self.xz, self.yz, -self.xx - self.yy]])
+        root = np.diag(np.sqrt(np.asarray(body.inertia)))
+        principal, axes = np.linalg.eigh(root @ expm(E) @ root)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        turn, whole = np.zeros(4), np.zeros(4)
+        mujoco.mju_mat2Quat(turn, axes.ravel())
+        mujoco.mju_mulQuat(whole, np.asarray(body.iquat, float), turn)
+        body.inertia, body.iquat = principal, whole
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
+from scipy.signal import lfilter
 
 from idapt_pl.domains.effects import Effect, elements, parameter
 
@@ -131,11 +132,9 @@ class ActuatorLag(CommandEffect):
         held = command.values[np.clip(held, 0, len(command.values) - 1)][:, columns]
         keep = np.exp(-step / self.time_constant)
         share = self.time_constant / step * (1 - keep)  # of the old value in the mean over a step
-        filtered = np.empty_like(held)
-        now = held[0]
-        for i, value in enumerate(held):
-            filtered[i] = value + share * (now - value)
-            now = keep * now + (1 - keep) * value
+        before = lfilter([1 - keep], [1, -keep], held, axis=0, zi=keep * held[:1])[0]
+        before = np.concatenate([held[:1], before[:-1]])  # the filter's state when each step begins
+        filtered = held + share * (before - held)
         return per_column(command, columns, np.append(edges, command.edges[-1]), filtered)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
