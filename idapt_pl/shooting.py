@@ -19,7 +19,7 @@ from torch import Tensor
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
-CLEARLY_BETTER = 1.15
+CLEARLY_BETTER = 1.5
 """A law is preferred to a simpler one if the simpler one leaves this many times as much on held-out episodes."""
 
 Act = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
