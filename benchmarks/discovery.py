@@ -21,9 +21,8 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
-import torch
 
-from cli.fit import GroundingCLI, build
+from cli.run_folder import load_visual, open_run
 from datamodules import write_trajectories
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import Domain
@@ -50,11 +49,8 @@ FIELDS = (
 
 def run(name: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
-    cli = GroundingCLI(["--config", str(folder / "config.yaml")])
-    grounding, _ = build(cli)
-    worlds, make = grounding.worlds, grounding.fit.make
-    G = make.visual(**worlds.dimensions)
-    G.load_state_dict(torch.load(folder / "step_00/visual/final.ckpt", weights_only=True)["state_dict"])
+    grounding = open_run(folder)
+    worlds, G = grounding.worlds, load_visual(grounding)
     hidden, hard = CASES[name], worlds.task.domain("hard")
     target = Domain("hidden", hard.base, (*hard.effects, BodyMass("pole", OWN_MASS), *hidden))
     path = folder / "hidden" / f"{name.replace(' ', '_')}.h5"
@@ -63,7 +59,7 @@ def run(name: str, seed: int, steps: int, folder: Path) -> dict:
     write_trajectories(path, trajectories)
     started = time.perf_counter()
     result = discover(
-        worlds.task, worlds.source_domain, G.eval(), [path], [folder / "step_00/source.h5"], Discovery(True), seed
+        worlds.task, worlds.source_domain, G, [path], [folder / "step_00/source.h5"], Discovery(True), seed
     )
     return {"case": name, "seed": seed, "target_interactions": steps, **score(result, hidden),
             "seconds": round(time.perf_counter() - started, 1)}  # fmt: skip

@@ -11,11 +11,9 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
-import torch
 
 import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
-from cli.evaluate import load_policy
-from cli.fit import GroundingCLI, build
+from cli.run_folder import load_policy, load_visual, open_run
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.evaluation import deterministic, paired_stacks
 from idapt_pl.pictures import gif, record, side_by_side
@@ -35,11 +33,10 @@ def domains(task_name: str, size: int = 200) -> np.ndarray:
 
 def transfer(run: Path) -> bytes:
     """Source | translated | target in the same states, and the transferred policy in the target, as a GIF."""
-    grounding, _ = build(GroundingCLI(["--config", str(run / "config.yaml"), "--run_dir", str(run)]))
+    grounding = open_run(run)
     worlds, last = grounding.worlds, grounding.stages.folder(grounding.schedule.grounding_steps)
     policy = load_policy(grounding, last / "policy/final.ckpt")
-    G = grounding.fit.make.visual(**worlds.dimensions)
-    G.load_state_dict(torch.load(last / "visual/final.ckpt", weights_only=True)["state_dict"])
+    G = load_visual(grounding)
     source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:

@@ -23,7 +23,8 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
-from datamodules import read_trajectories
+from cli.run_folder import load_visual, open_run
+from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -31,6 +32,7 @@ from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.report import write_report
 from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
+from idapt_pl.discovery import readings
 from idapt_pl.domains import Effect, effect_from_dict
 
 EXAMPLES = """examples:
@@ -39,6 +41,8 @@ EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out again --effects diagnosis/effects.yaml
   idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
       --candidates joint_damping joint_frictionloss joint_stribeck
+  idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
+      --candidates body_mass joint_damping actuator_gain
 
 `idapt import` makes measured.h5 from CSV, NPZ, Minari, LeRobot or MCAP. An effects file is a list:
   - effect: joint_damping
@@ -50,8 +54,11 @@ EXAMPLES = """examples:
 def main(args: list[str]) -> int:
     """Run ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
-    p.add_argument("--model", type=Path, required=True, help="nominal model (MJCF)")
-    p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos, perhaps qvel, and actions")
+    p.add_argument("--model", type=Path, help="nominal model (MJCF)")
+    p.add_argument(
+        "--run", type=Path, help="instead of --model: a run of idapt fit, whose P^T reads images"
+    )
+    p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos (or images) and actions")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
     p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")
     p.add_argument("--fit", type=int, nargs="+", metavar="EPISODE", help="episodes to fit on (default: the others)")
@@ -67,9 +74,13 @@ def main(args: list[str]) -> int:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
     if o.out.exists() and not o.out.is_dir():
         raise ValueError(f"{o.out}: --out is a file; name a folder")
-    model = read_model(o.model)
+    if (o.model is None) == (o.run is None):
+        p.error("give either --model (recordings of positions) or --run (recordings of images)")
+    if o.run is None:
+        model, trajectories = read_model(o.model), read_trajectories(o.data)
+    else:
+        model, trajectories = read_images(o.run, o.data)
     declared = read_effects(o.effects, model) if o.effects else ()
-    trajectories = read_trajectories(o.data)
     try:
         with progress_bar() as progress:
             diagnosis = diagnose(
@@ -78,9 +89,19 @@ def main(args: list[str]) -> int:
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None
-    write_report(diagnosis, o.out, o.model.name, o.data.name)
+    write_report(diagnosis, o.out, (o.model or o.run).name, o.data.name)
     print_diagnosis(diagnosis, o.out)
     return 0
+
+
+def read_images(run: Path, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
+    """The source of a run, and recordings of images as positions, read by the P^T of its last grounding step.
+
+    The residuals then hold the errors of P^T, which depend on the state and are no white noise: see decision 17.
+    """
+    grounding = open_run(run)
+    spec = grounding.worlds.source_domain.spec()
+    return spec, readings([data], load_visual(grounding).P_T, spec.copy().compile().nq)
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

@@ -6,14 +6,11 @@ import json
 from contextlib import closing
 from pathlib import Path
 
-import torch
-
 from cli.arguments import parser
-from cli.fit import GroundingCLI, build
+from cli.run_folder import load_policy, open_run
 from idapt_pl.evaluation import deterministic
 from idapt_pl.files import write_json
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.rollout import Returns, evaluate
 
 
@@ -25,10 +22,7 @@ def main(args: list[str]) -> int:
     p.add_argument("--seed", type=int, default=12345, help="of the episodes' starts")
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
-    config = o.run / "config.yaml"
-    if not config.is_file():
-        raise ValueError(f"{o.run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
-    grounding, _ = build(GroundingCLI(["--config", str(config), "--run_dir", str(o.run)]))
+    grounding = open_run(o.run)
     result = {
         "run": str(o.run),
         "episodes": o.episodes,
@@ -87,11 +81,3 @@ def policies(grounding: IterativeGrounding) -> list[tuple[str, Path]]:
     if not existing:
         raise ValueError(f"{run} has no finished policy yet; resume it with: idapt fit --config {run / 'config.yaml'}")
     return existing
-
-
-def load_policy(grounding: IterativeGrounding, path: Path) -> AsymmetricSAC:
-    """A policy from its checkpoint (weights only, nothing is unpickled)."""
-    worlds = grounding.worlds
-    policy = grounding.fit.make.policy(**worlds.dimensions, **worlds.action_bounds)
-    policy.load_state_dict(torch.load(path, weights_only=True, map_location="cpu")["state_dict"])
-    return policy.eval()

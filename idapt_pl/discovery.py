@@ -119,7 +119,7 @@ def discover(
     seen = readings(target, G.P_T, nq)
     checked = readings(control, G.P_T, nq, lambda frames: G.translate(frames[:, None])[:, 0])
     # Pieces of one length, so that both are judged over the same horizon.
-    length = max(SHORTEST, int(min(np.median([len(e) for e in d]) for d in (seen, checked))))
+    length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in (seen, checked))))
     seen, checked = (
         diagnose(spec.copy(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings)
         for d in (seen, checked)

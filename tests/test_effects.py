@@ -319,9 +319,14 @@ def test_color_shows_even_on_a_geom_that_had_a_material(nominal):
 def test_rotation_turns_the_first_command_towards_its_partner_and_leaves_the_others():
     turn = ActuatorRotation("push hold", np.pi / 2)
     domain = Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), (turn, ActuatorDeadzone("hold", 0.25)))
-    actions = np.array([[1.0, 0.0], [0.0, 1.0]])
-    np.testing.assert_allclose(domain.command(domain.compile(), actions), [[0, 0.75], [-1, 0]], atol=1e-12)
-    np.testing.assert_array_equal(actions, [[1, 0], [0, 1]])
+    model = domain.compile()
+    push, hold = model.actuator("push").id, model.actuator("hold").id
+    actions = np.full((2, model.nu), 0.5)
+    actions[:, [push, hold]] = [[1, 0], [0, 1]]
+    commands, expected = domain.command(model, actions), actions.copy()
+    expected[:, [push, hold]] = [[0, 0.75], [-1, 0]]
+    np.testing.assert_allclose(commands, expected, atol=1e-12)
+    np.testing.assert_array_equal(actions[:, [push, hold]], [[1, 0], [0, 1]])
 
 
 def test_camera_frame_is_the_same_from_axes_and_from_a_quaternion(nominal):

@@ -1,0 +1,48 @@
+"""What a finished run left: the grounding its config describes, its policies, its G."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from cli.fit import GroundingCLI, build
+from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+
+
+def open_run(run: Path) -> IterativeGrounding:
+    """The grounding of a run folder.
+
+    Raises:
+        ValueError: if it is no run folder.
+    """
+    config = run / "config.yaml"
+    if not config.is_file():
+        raise ValueError(f"{run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
+    return build(GroundingCLI(["--config", str(config), "--run_dir", str(run)]))[0]
+
+
+def load_policy(grounding: IterativeGrounding, path: Path) -> AsymmetricSAC:
+    """A policy from its checkpoint (weights only, nothing is unpickled)."""
+    worlds = grounding.worlds
+    return load(grounding.fit.make.policy(**worlds.dimensions, **worlds.action_bounds), path)
+
+
+def load_visual(grounding: IterativeGrounding) -> VisualTransformation:
+    """G and P^T of the last grounding step that has them.
+
+    Raises:
+        ValueError: if there is none yet.
+    """
+    run = grounding.stages.run_dir
+    made = sorted(run.glob("step_*/visual/final.ckpt"))
+    if not made:
+        raise ValueError(f"{run} has no finished visual stage yet; resume it: idapt fit --config {run / 'config.yaml'}")
+    return load(grounding.fit.make.visual(**grounding.worlds.dimensions), made[-1])
+
+
+def load(module, path: Path):
+    """A module with the weights of a checkpoint, ready for use."""
+    module.load_state_dict(torch.load(path, weights_only=True, map_location="cpu")["state_dict"])
+    return module.eval()
