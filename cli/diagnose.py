@@ -55,9 +55,7 @@ def main(args: list[str]) -> int:
     """Run ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
     p.add_argument("--model", type=Path, help="nominal model (MJCF)")
-    p.add_argument(
-        "--run", type=Path, help="instead of --model: a run of idapt fit, whose P^T reads images"
-    )
+    p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose P^T reads images")
     p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos (or images) and actions")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
     p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")

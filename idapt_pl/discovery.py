@@ -26,7 +26,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
-SHORTEST = 5
+SHORTEST = 6
 """Control steps that an episode must last to be of use."""
 CLEARLY_MORE = 1.3
 """How many times as large as in the control the error must be in some channel of the target."""

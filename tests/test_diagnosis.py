@@ -107,6 +107,11 @@ def test_positions_alone_are_enough_for_a_large_effect():
     assert ("joint_damping", "elbow") in effects
 
 
+def test_very_short_episodes_of_positions_are_refused():
+    with pytest.raises(UnusableData, match="too short: half of them last 4 control steps"):
+        found(record(episodes=30, steps=4, velocities=False))
+
+
 def test_declared_effects_are_not_found_again():
     edit = ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.06"')
     diagnosis, effects = found(record(edit), declared=[JointDamping("elbow", 0.06)])

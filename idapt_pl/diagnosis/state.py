@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.data import Windows, cut
+from idapt_pl.diagnosis.data import UnusableData, Windows, cut
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.statistics import (
@@ -130,6 +130,10 @@ class Sensed:
     at_held_out: Sensitivity
 
 
+SHORTEST = 6
+"""Control steps that the usual episode must last where only positions were measured."""
+
+
 class Search:
     """A model in the making: the nominal one, what was declared, numerics and the effects found so far.
 
@@ -158,7 +162,14 @@ class Search:
         self.sensed: Sensed | None = None
         self.dt = float(np.median(np.diff(sim.data[0].time)))
         # slopes of positions look ahead: then only longer windows show the noise
-        self.probe = cut(sim.data, fit, *((2, 2) if sim.velocities else (round(0.25 / self.dt), 5)), 200, seed + 3)
+        usual = int(np.median([len(sim.data[e]) for e in fit]))
+        steps, samples = (2, 2) if sim.velocities else (min(max(2, round(0.25 / self.dt)), usual), 5)
+        self.probe = cut(sim.data, fit, steps, samples, 200, seed + 3)
+        if not len(self.probe) or not (sim.velocities or usual >= SHORTEST):
+            raise UnusableData(
+                f"the episodes are too short: half of them last {usual} control steps or fewer; "
+                f"without measured velocities it takes {SHORTEST}"
+            )
         self.noise = estimate_noise(sim, declared, self.probe)
         self.steps = self.choose_horizon()
         self.horizon = self.steps * self.dt
