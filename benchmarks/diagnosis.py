@@ -137,7 +137,7 @@ def summarise(rows: list[dict]) -> str:
     """The figures that matter, in a few lines."""
 
     def mean(name: str, chosen: list[dict]) -> str:
-        values = [float(r[name]) for r in chosen if r[name] != ""]
+        values = [float(r[name]) for r in chosen if r.get(name, "") != ""]
         return f"{np.mean(values):.3f} (n = {len(values)})" if values else "-"
 
     named = [r for r in rows if r["kind"] in ("single", "double", "confounded")]
