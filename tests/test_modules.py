@@ -407,3 +407,36 @@ def test_grounded_environment_accepts_the_modules_as_they_are(cart):
     assert obs["pixels"].shape == (2, 2, SIZE, SIZE, 3) and obs["pixels"].dtype == np.uint8
     assert (obs["pixels"] != obs["source_pixels"]).any()
     env.close()
+
+
+# --- learning rates -------------------------------------------------------------------------------------
+
+
+def rates_after(fit):
+    """Learning rate of each optimizer, as a share of what it began with."""
+    return [o.param_groups[0]["lr"] / o.param_groups[0]["initial_lr"] for o in fit.optimizers]
+
+
+@pytest.mark.parametrize(("batches_done", "share"), [(4, 1.0), (6, 0.8), (9, 0.2), (10, 0.0)])
+def test_visual_learning_rates_fall_to_zero_in_the_second_half_of_a_stage(trainer, fitted_P_S, batches_done, share):
+    P_S, pixels, state, _ = fitted_P_S
+    module, fit = visual(), trainer(10)
+    module.adopt(P_S.P_S)
+    module.on_train_batch_end = lambda outputs, batch, index: setattr(fit, "should_stop", index + 1 == batches_done)
+    fit.fit_loop.min_epochs = 0
+    fit.fit(module, datamodule=Fixed(paired_looks(pixels, state)))
+    assert rates_after(fit) == pytest.approx([share, share], abs=1e-6)
+
+
+def test_garat_learning_rate_falls_to_zero_and_the_discriminators_does_not(trainer):
+    F, fit = action_transformation(), trainer(4)
+    fit.fit(F, datamodule=LineData(F, rollouts=4))
+    agent, discriminator = (o.param_groups[0]["lr"] for o in fit.optimizers)
+    assert (agent, discriminator) == pytest.approx((0.0, 3e-3), abs=1e-8)
+
+
+@pytest.mark.parametrize("floor", [0.25, 1.0])
+def test_sac_learning_rates_fall_to_their_floor(trainer, floor):
+    module, fit = sac(lr_floor=floor), trainer(8)
+    fit.fit(module, datamodule=ReplayDataModule(FixedExperience(module), ReplayBuffer(16, 0), 16, 1, 8, 0, 16))
+    assert rates_after(fit) == pytest.approx([floor] * 3)

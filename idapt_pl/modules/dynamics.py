@@ -209,9 +209,8 @@ class ActionTransformation(ManualModule):
             torch.optim.Adam(agent, lr=self.hparams.lr, fused=True),
             torch.optim.Adam(self.D.parameters(), lr=self.hparams.lr_discriminator, fused=True),
         ]
-        total = self.trainer.max_epochs * self.trainer.num_training_batches
 
         def linear(step: int) -> float:  # Table III: linear decay
-            return 1.0 - step / total
+            return 1.0 - self.share_done(step)
 
         return optimizers, [torch.optim.lr_scheduler.LambdaLR(optimizers[0], linear)]

@@ -273,10 +273,9 @@ class AsymmetricSAC(ManualModule):
             optimizers.append(
                 torch.optim.Adam(self.actor.encoder.parameters(), lr=self.hparams.lr_estimator, fused=True)
             )
-        total, floor = self.trainer.max_epochs * self.trainer.num_training_batches, self.hparams.lr_floor
 
         def linear(step: int) -> float:
-            return max(floor, 1.0 - step / total)
+            return max(self.hparams.lr_floor, 1.0 - self.share_done(step))
 
         return optimizers, [torch.optim.lr_scheduler.LambdaLR(o, linear) for o in optimizers]
 

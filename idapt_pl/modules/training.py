@@ -26,6 +26,13 @@ class ManualModule(L.LightningModule):
             self.clip_gradients(optimizer, gradient_clip_val=clip, gradient_clip_algorithm="norm")
         optimizer.step()
 
+    def share_done(self, step: int) -> float:
+        """Share of the stage that ``step`` batches are, for learning rates.
+
+        Read at every step: while optimizers are configured the Trainer has not seen the data yet, and says infinity.
+        """
+        return step / (self.trainer.max_epochs * self.trainer.num_training_batches)
+
     def log_at(self, step: float, metrics: dict[str, Tensor | float]) -> None:
         """Log scalars with ``step`` as the x axis."""
         self.log_dict(

@@ -191,9 +191,8 @@ class VisualTransformation(ManualModule):
         opt_g = torch.optim.Adam(trainable, lr=w.lr_generator, betas=tuple(w.betas), fused=True)
         discriminators = [*self.D_T.parameters(), *self.D_S.parameters()]
         opt_d = torch.optim.Adam(discriminators, lr=w.lr_discriminator, betas=tuple(w.betas), fused=True)
-        total = self.trainer.max_epochs * self.trainer.num_training_batches
 
         def constant_then_linear(step: int) -> float:  # CycleGAN: the second half decays to zero
-            return min(1.0, 2.0 * (1.0 - step / total))
+            return min(1.0, 2.0 * (1.0 - self.share_done(step)))
 
         return [opt_g, opt_d], [torch.optim.lr_scheduler.LambdaLR(o, constant_then_linear) for o in (opt_g, opt_d)]
