@@ -129,6 +129,8 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
 def main(args: list[str]) -> int:
     """Run ``idapt fit``."""
     cli = GroundingCLI(args)
+    if cli.config.seed_everything is not False:
+        raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     grounding, run_dir = build(cli)
     write_provenance(cli.parser, cli.config, run_dir)
     summary = grounding.run()

@@ -42,7 +42,7 @@ class FrameStacks(Dataset):
         index = np.asarray(index)
         return self.frames[np.maximum(index[:, None] + self._lags, self.first[index][:, None])]
 
-    def __getitems__(self, index: list[int]) -> dict[str, torch.Tensor]:
+    def __getitems__(self, index: list[int] | np.ndarray) -> dict[str, torch.Tensor]:
         """A batch at once: ``pixels`` and, where asked for, ``state``."""
         batch = {"pixels": torch.from_numpy(self.stacks(np.asarray(index)))}
         if self.labels is not None:
@@ -51,6 +51,20 @@ class FrameStacks(Dataset):
 
     def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
         return {name: value[0] for name, value in self.__getitems__([index]).items()}
+
+
+class FirstObservations(Dataset):
+    """The first observation of each episode, out of some frame stacks."""
+
+    def __init__(self, stacks: FrameStacks) -> None:
+        self.of, self.index = stacks, np.unique(stacks.first)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitems__(self, index: list[int]) -> dict[str, torch.Tensor]:
+        """As for the frame stacks."""
+        return self.of.__getitems__(self.index[np.asarray(index)])
 
 
 def whole_batch(batch: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -10,9 +10,9 @@ from pathlib import Path
 import lightning as L
 import torch
 from lightning.pytorch.utilities import CombinedLoader
-from torch.utils.data import DataLoader, RandomSampler
+from torch.utils.data import DataLoader, Dataset, RandomSampler
 
-from datamodules.stacks import FrameStacks, whole_batch
+from datamodules.stacks import FirstObservations, FrameStacks, whole_batch
 from datamodules.trajectories import Trajectories, TrajectoryFileError, read_trajectories
 
 
@@ -32,7 +32,7 @@ def read_all(paths: Sequence[Path | str], also: str | None = None) -> Trajectori
     return reduce(add, parts)
 
 
-def random_batches(dataset: FrameStacks, batch_size: int, batches: int, seed: int) -> DataLoader:
+def random_batches(dataset: Dataset, batch_size: int, batches: int, seed: int) -> DataLoader:
     """``batches`` random batches from a dataset, reshuffled at each pass over it, reproducible by ``seed``."""
     generator = torch.Generator().manual_seed(seed)
     sampler = RandomSampler(dataset, num_samples=batch_size * batches, generator=generator)
@@ -60,7 +60,8 @@ class LabelledImages(L.LightningDataModule):
 class UnpairedImages(L.LightningDataModule):
     """Frame stacks of source (with states) and target (without), each drawn on its own.
 
-    Batches: ``{"source": {"pixels", "state"}, "target": {"pixels"}}``.
+    Batches: ``{"source": {"pixels", "state"}, "target": {"pixels"}}``, and with ``resets`` as many first
+    observations of episodes under ``"source_resets"`` and ``"target_resets"``, drawn on their own too.
     """
 
     def __init__(
@@ -71,8 +72,10 @@ class UnpairedImages(L.LightningDataModule):
         batch_size: int,
         batches: int,
         seed: int,
+        resets: int = 0,
     ) -> None:
         super().__init__()
+        self.resets = resets
         self.source, self.target, self.seed = [str(p) for p in source], [str(p) for p in target], seed
         self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
 
@@ -91,4 +94,8 @@ class UnpairedImages(L.LightningDataModule):
             "source": random_batches(self.source_data, self.batch_size, self.batches, self.seed),
             "target": random_batches(self.target_data, self.batch_size, self.batches, self.seed + 1),
         }
+        if self.resets:
+            for i, (name, data) in enumerate({"source": self.source_data, "target": self.target_data}.items()):
+                resets = FirstObservations(data)
+                loaders[f"{name}_resets"] = random_batches(resets, self.resets, self.batches, self.seed + 2 + i)
         return CombinedLoader(loaders, "min_size")

@@ -111,7 +111,8 @@ class Fitting:
 
         def feed(module: VisualTransformation, seed: int, device: torch.device) -> UnpairedImages:
             stack, size = self.worlds.frame_stack, self.feeding.visual_batch
-            return UnpairedImages(source, target, stack, size, batches, seed)
+            resets = max(1, size // 4) if module.hparams.reset_weight else 0
+            return UnpairedImages(source, target, stack, size, batches, seed, resets)
 
         return self.stages.fit(step, "visual", build, feed, batches)
 

@@ -101,6 +101,10 @@ def test_value_of_the_wrong_type_is_bad_usage_and_is_named(capsys):
     assert code == 2 and "schedule.images" in printed.err and "Traceback" not in printed.err
 
 
+def test_a_seed_that_would_have_no_effect_is_an_error_that_names_the_one_that_has(capsys):
+    assert_short_error(*run(["fit", "--config", QUICK, "--seed_everything", "3"], capsys), 1, "seed_everything", "--seed")
+
+
 def test_missing_config_file_is_bad_usage_and_is_named(capsys):
     code, printed = run(["fit", "--config", "configs/pendulum_quik.yaml"], capsys)
     assert code == 2 and "pendulum_quik.yaml" in printed.err and "Traceback" not in printed.err

@@ -101,6 +101,17 @@ def test_unpaired_images_draws_each_domain_on_its_own_and_the_target_without_sta
     assert paired < 0.5, "source and target of the same time must not meet systematically"
 
 
+def test_resets_are_first_observations_of_either_domain(file):
+    data = UnpairedImages([file("s.h5")], [file("t.h5", first=9, state=False)], 2, 4, batches=6, seed=0, resets=3)
+    data.setup("fit")
+    batches = [batch for batch, *_ in data.train_dataloader()]
+    assert len(batches) == 6
+    for name, episodes in (("source_resets", {1, 2, 3, 4}), ("target_resets", {9, 10, 11, 12})):
+        shown = torch.cat([b[name]["pixels"] for b in batches])[:, :, 0, 0]  # (n, K, 3): episode, time, 0
+        assert len(shown) == 18 and (shown[..., 1] == 0).all(), "a first observation is its first frame, repeated"
+        assert set(shown[..., 0].flatten().tolist()) == episodes
+
+
 def test_batches_are_reproducible_by_seed(file):
     files = [file("s.h5")], [file("t.h5", state=False)]
     a, b, c = (drawn(UnpairedImages(*files, frame_stack=1, batch_size=4, batches=4, seed=s)) for s in (1, 1, 2))

@@ -23,12 +23,12 @@ def mean(history, name, rows):
     return float(np.mean([h[name] for h in history[rows]]))
 
 
-def dots(n, color, background, seed=0):
+def dots(n, color, background, seed=0, highest=0):
     """Stacks of two frames with a square in them, and where: uint8 (n, 2, 32, 32, 3), float32 (n, 2)."""
     rng = np.random.default_rng(seed)
     pixels = np.empty((n, 2, SIZE, SIZE, 3), np.uint8)
     pixels[:] = background
-    corners = rng.integers(0, SIZE - 8, (n, 2))
+    corners = rng.integers((highest, 0), SIZE - 8, (n, 2))
     for image, (top, left) in zip(pixels, corners, strict=True):
         image[:, top : top + 8, left : left + 8] = color
     return torch.from_numpy(pixels), torch.from_numpy(corners.astype(np.float32))
@@ -116,6 +116,28 @@ def test_state_reconstruction_keeps_the_state_readable_after_translation(trainer
     module.adopt(P_S.P_S)
     fit.fit(module, datamodule=Fixed(paired_looks(pixels, state)))
     assert mean(fit.history, "visual/state", slice(-5, None)) < 0.6 * mean(fit.history, "visual/state", slice(0, 3))
+
+
+def at_reset(color, background, row):
+    """Stacks with a square in the middle of a row, as after every reset: {"pixels": uint8 (2, 2, 32, 32, 3)}."""
+    pixels = torch.empty(2, 2, SIZE, SIZE, 3, dtype=torch.uint8)
+    pixels[:] = torch.tensor(background)
+    pixels[:, :, row : row + 8, 12:20] = torch.tensor(color)
+    return {"pixels": pixels}
+
+
+@pytest.mark.parametrize("weight", [0.0, 10.0])
+def test_only_reset_pairs_tell_G_where_to_place_things_in_domains_that_move_differently(trainer, weight):
+    """The target's squares are all low, the source's everywhere; both start in row 12."""
+    source, _ = dots(8, (255, 0, 0), (0, 0, 0))
+    low, _ = dots(8, (0, 0, 255), (90, 90, 90), 1, highest=16)
+    module, fit = visual(state_dim=0, reset_weight=weight, identity_weight=0.0), trainer(80)
+    S, T = at_reset((255, 0, 0), (0, 0, 0), 12), at_reset((0, 0, 255), (90, 90, 90), 12)
+    batch = {"source": {"pixels": source}, "target": {"pixels": low}, "source_resets": S, "target_resets": T}
+    fit.fit(module, datamodule=Fixed(batch))
+    off = np.abs(module.translate(S["pixels"][:1, -1:].numpy()).astype(float) - T["pixels"][:1, -1:].numpy()).mean()
+    assert off < 12 if weight else off > 12
+    assert ("visual/reset" in fit.history[-1]) == bool(weight)
 
 
 def test_only_the_first_convolutions_of_P_T_are_trained(trainer, fitted_P_S):

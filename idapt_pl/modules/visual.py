@@ -37,6 +37,9 @@ class VisualTransformation(ManualModule):
         cycle_weight: of the cycle-consistency loss, on images in -1..1.
         identity_weight: of |G(o^T) - o^T|, against colour inversion; 0 leaves it out.
         state_weight: λ, on standardised states.
+        reset_weight: of |G(o^S) - o^T| between first observations of episodes. Where both domains are reset alike,
+            those show the same state up to the reset noise, and say where G has to place things, which unpaired
+            images of domains that move differently leave open. 0 leaves it out (the paper).
         finetune_convs: how many first convolutions of P^T are trained (1 in the paper, 2 in the code).
         lr_generator: Adam, generators and P^T.
         lr_discriminator: Adam, discriminators.
@@ -65,6 +68,7 @@ class VisualTransformation(ManualModule):
         cycle_weight: float = 10.0,
         identity_weight: float = 5.0,
         state_weight: float = 5.0,
+        reset_weight: float = 0.0,
         finetune_convs: int = 1,
         lr_generator: float = 2e-4,
         lr_discriminator: float = 2e-4,
@@ -110,6 +114,8 @@ class VisualTransformation(ManualModule):
         real_S, real_T = self.adversarial_input(batch["source"]), self.adversarial_input(batch["target"])
         with self.toggled_optimizer(opt_g), fast_precision(self.device, self.hparams.bf16):
             fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"])
+            if self.hparams.reset_weight:
+                parts["reset"] = self.reset_loss(batch["source_resets"], batch["target_resets"])
             self.descend(opt_g, sum(parts.values()))
         with self.toggled_optimizer(opt_d), fast_precision(self.device, self.hparams.bf16):
             d_T = self.discriminator_loss(self.D_T, real_T, self.pools["target"](fake_T))
@@ -151,6 +157,11 @@ class VisualTransformation(ManualModule):
             translated = self.whole_stack(fake_T, out_G[len(out_G) - len(older) :])
             parts["state"] = w.state_weight * self.P_T.error(translated, source["state"])
         return fake_S, fake_T, parts
+
+    def reset_loss(self, source: dict[str, Tensor], target: dict[str, Tensor]) -> Tensor:
+        """First observations of episodes, translated, against those of the other domain: pairs up to reset noise."""
+        S, T = self.adversarial_input(source), self.adversarial_input(target)
+        return self.hparams.reset_weight * ((self.G(S) - T).abs().mean() + (self.G_back(T) - S).abs().mean())
 
     def older_frames(self, source: dict[str, Tensor]) -> Tensor:
         """The frames that only state reconstruction needs: the older ones, if P^T looks at a stack and G at a frame."""
