@@ -102,7 +102,8 @@ def test_value_of_the_wrong_type_is_bad_usage_and_is_named(capsys):
 
 
 def test_a_seed_that_would_have_no_effect_is_an_error_that_names_the_one_that_has(capsys):
-    assert_short_error(*run(["fit", "--config", QUICK, "--seed_everything", "3"], capsys), 1, "seed_everything", "--seed")
+    result = run(["fit", "--config", QUICK, "--seed_everything", "3"], capsys)
+    assert_short_error(*result, 1, "seed_everything", "--seed")
 
 
 def test_missing_config_file_is_bad_usage_and_is_named(capsys):
