@@ -106,6 +106,7 @@ class GroundingCLI(LightningCLI):
 def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     """The run that a config describes, and its folder."""
     config = cli.config_init
+    check_estimator(config)
     task = make_task(config.task)
     run_dir = Path(config.run_dir or f"runs/{config.task}_{config.target}_{config.seed}")
     worlds = Worlds(
@@ -124,6 +125,17 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     fitting = Fitting(worlds, stages, Factories(**factories), config.feeding)
     evaluation = Evaluation(worlds, stages, config.episodes, config.target)
     return IterativeGrounding(fitting, evaluation, config.schedule, config.effects), run_dir
+
+
+def check_estimator(config: Namespace) -> None:
+    """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G."""
+    for name in ("pretrain", "finetune"):
+        batches = getattr(config.schedule, name).estimator
+        if batches and config.policy.encoder != "supervised":
+            raise ValueError(
+                f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {config.policy.encoder}: "
+                "only a supervised encoder is regressed on states. Set one or the other."
+            )
 
 
 def main(args: list[str]) -> int:

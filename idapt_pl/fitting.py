@@ -5,14 +5,22 @@ from __future__ import annotations
 import copy
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
 
-from datamodules import LabelledImages, OnPolicyDataModule, ReplayBuffer, ReplayDataModule, UnpairedImages
+from datamodules import (
+    Episode,
+    LabelledImages,
+    OnPolicyDataModule,
+    ReplayBuffer,
+    ReplayDataModule,
+    Trajectories,
+    UnpairedImages,
+)
 from datamodules.on_policy import encode_all, target_transitions
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
@@ -106,7 +114,8 @@ class Fitting:
 
         def build() -> VisualTransformation:
             module = continued(lambda: self.make.visual(**self.worlds.dimensions), initial)()
-            module.adopt(P_S.P_S)
+            if batches or initial is None:  # else P^T stays what was trained with this G
+                module.adopt(P_S.P_S)
             return module
 
         def feed(module: VisualTransformation, seed: int, device: torch.device) -> UnpairedImages:
@@ -176,6 +185,30 @@ class Fitting:
             left,
         )
 
+    def estimator(
+        self, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, policy: AsymmetricSAC
+    ) -> AsymmetricSAC:
+        """π with its encoder regressed on all labelled source images, as G shows them.
+
+        While π trains it meets few states, near those it holds; F and the next policies need estimates that are right
+        wherever G has data.
+        """
+        if not batches:
+            return policy
+
+        def translated(seed: int) -> Trajectories:
+            seen = read_all(source, also="state")
+            episodes = tuple(seen_through(G, episode) for episode in seen)
+            return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
+
+        data, _ = self.stages.record(step, "translated", translated)
+        policy = copy.deepcopy(policy)
+        estimator = self.make.state_predictor(**self.worlds.dimensions)
+        estimator.P_S.load_state_dict(policy.actor.encoder.state_dict())
+        estimator = self.state_predictor(step, [data], batches, estimator, "estimator")
+        policy.actor.encoder.load_state_dict(estimator.P_S.state_dict())
+        return policy
+
     def policy(
         self,
         step: int,
@@ -232,6 +265,17 @@ class Fitting:
             return self.worlds.grounded(self.feeding.num_envs, G.to(device), F.to(device) if F is not None else None)
 
         return self.policy(step, "policy", make_env, steps, initial)
+
+
+def seen_through(G: VisualTransformation, episode: Episode) -> Episode:
+    """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
+    pixels = episode.observations["pixels"]
+    if G.frames > 1:
+        stacks = FrameStacks([episode], G.frames).stacks(np.arange(len(pixels)))
+        pixels = G.translate(stacks)[:, -1]
+    else:
+        pixels = G.translate(pixels[:, None])[:, 0]
+    return replace(episode, observations={**episode.observations, "pixels": pixels})
 
 
 def continued(build: Callable[[], torch.nn.Module], initial: torch.nn.Module | None) -> Callable:

@@ -23,12 +23,15 @@ class Lengths:
         visual: batches for G and P^T.
         dynamics: GARAT rollouts for F.
         policy: environment steps for the policy.
+        estimator: batches for the policy's encoder before the policy trains, regressed on the states of D^S as G shows
+            it; for ``policy.encoder: supervised``. 0 leaves the encoder to the policy's own training.
     """
 
     state_predictor: int
     visual: int
     policy: int
     dynamics: int = 0
+    estimator: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ class IterativeGrounding:
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
         self.repair_source(0, D_T, D_S[0], G)
         F = None  # the identity
+        pi = self.fit.estimator(0, D_S, pretrain.estimator, G, pi)
         pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
 
@@ -96,6 +100,7 @@ class IterativeGrounding:
             G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
             if self.repair_source(k, D_T, None, G):
                 F = None  # it was F of another source
+            pi = self.fit.estimator(k, self.recent(D_S), finetune.estimator, G, pi)
             if self.schedule.action_transformation:
                 F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore)
             pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)

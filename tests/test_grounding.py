@@ -139,10 +139,12 @@ def test_every_stage_of_algorithm_1_ran_in_every_grounding_step(summary):
         "source_policy",
         "direct_transfer",
         "visual",
+        "translated",
+        "estimator",
         "policy",
         "evaluation",
     }
-    step = {"target", "source", "state_predictor", "visual", "dynamics", "policy", "evaluation"}
+    step = start - {"source_policy", "direct_transfer"} | {"dynamics"}
     assert ran == {(0, s) for s in start} | {(k, s) for k in range(1, STEPS + 1) for s in step}
 
 
@@ -181,6 +183,26 @@ def test_learning_changed_each_module(finished_run):
     for stage in ("state_predictor", "visual", "policy"):
         a, b = weights(path(0, stage)), weights(path(1, stage))
         assert any(not torch.equal(a[k], b[k]) for k in a), f"{stage} was not trained in step 1"
+
+
+def test_the_policy_sees_with_the_estimator_that_was_fitted_to_what_G_shows(finished_run):
+    for k in range(STEPS + 1):
+        estimator, policy = (weights(finished_run / f"step_{k:02d}/{s}/final.ckpt") for s in ("estimator", "policy"))
+        fitted = {n.removeprefix("P_S."): v for n, v in estimator.items()}
+        assert all(torch.equal(policy[f"actor.encoder.{n}"], v) for n, v in fitted.items())
+        source, seen = (read_trajectories(finished_run / f"step_{k:02d}/{n}.h5") for n in ("source", "translated"))
+        pairs = list(zip(reversed(source.episodes), reversed(seen.episodes), strict=False))  # the newest come last
+        assert pairs and all(np.array_equal(a.observations["state"], b.observations["state"]) for a, b in pairs)
+        assert any(not np.array_equal(a.observations["pixels"], b.observations["pixels"]) for a, b in pairs)
+
+
+def test_without_finetuning_G_keeps_the_P_T_that_was_trained_with_it(finished_run, tiny_args, tmp_path):
+    run = tmp_path / "kept"
+    shutil.copytree(finished_run / "step_00", run / "step_00")
+    overrides = {"schedule__finetune__visual": 0, "schedule__finetune__estimator": 0, "schedule__grounding_steps": 1}
+    assert main(["fit", *tiny_args(run, **overrides)]) == 0
+    assert_same_weights(run / "step_00/visual/final.ckpt", run / "step_01/visual/final.ckpt")
+    assert not (run / "step_01/estimator").exists()
 
 
 def test_rerunning_a_finished_run_changes_nothing(finished_run, tiny_args):
@@ -236,7 +258,7 @@ def test_a_run_killed_after_every_single_stage_ends_bitwise_like_the_uninterrupt
         while main(["fit", *tiny_args(run)]) != 0:
             killed += 1
             assert killed < 100, "the run makes no progress"
-    assert killed == 8 + 7 * STEPS
+    assert killed == 10 + 9 * STEPS
     assert final_files(run) == final_files(finished_run)
     for name in final_files(run):
         if name.endswith(".ckpt"):
@@ -253,6 +275,12 @@ def test_a_run_whose_last_step_was_lost_repeats_it_bitwise(finished_run, tiny_ar
     (run / "config.yaml").write_text(config)
     assert main(["fit", *tiny_args(run)]) == 0
     assert_same_weights(run / last / "policy/final.ckpt", finished_run / last / "policy/final.ckpt")
+
+
+def test_a_learned_encoder_cannot_be_regressed_on_states_which_is_said_at_once(tiny_args, tmp_path, capsys):
+    assert main(["fit", *tiny_args(tmp_path / "run", policy__encoder="learned")]) == 1
+    assert "schedule.pretrain.estimator is 2 batches, but policy.encoder is learned" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
@@ -281,5 +309,7 @@ def test_ablations_run(tiny_args, tmp_path):
     paper = {
         "schedule__grounding_steps": 1,
         "policy__encoder": "learned",
+        "schedule__pretrain__estimator": 0,
+        "schedule__finetune__estimator": 0,
     }
     assert main(["fit", *tiny_args(tmp_path / "paper", **paper)]) == 0

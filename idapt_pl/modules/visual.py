@@ -14,7 +14,7 @@ from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.training import ManualModule, fast_precision
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import stack_channels, to_float, to_pixels
+from idapt_pl.nets.images import jitter, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
 
@@ -37,6 +37,8 @@ class VisualTransformation(ManualModule):
         cycle_weight: of the cycle-consistency loss, on images in -1..1.
         identity_weight: of |G(o^T) - o^T|, against colour inversion; 0 leaves it out.
         state_weight: λ, on standardised states.
+        state_jitter: how much contrast, brightness and noise of translated images vary before P^T sees them, so that G
+            cannot please it with faint patterns (adversarial examples) instead of placing things. 0 as in the paper.
         reset_weight: of |G(o^S) - o^T| between first observations of episodes. Where both domains are reset alike,
             those show the same state up to the reset noise, and say where G has to place things, which unpaired
             images of domains that move differently leave open. 0 leaves it out (the paper).
@@ -68,6 +70,7 @@ class VisualTransformation(ManualModule):
         cycle_weight: float = 10.0,
         identity_weight: float = 5.0,
         state_weight: float = 5.0,
+        state_jitter: float = 0.0,
         reset_weight: float = 0.0,
         finetune_convs: int = 1,
         lr_generator: float = 2e-4,
@@ -113,9 +116,7 @@ class VisualTransformation(ManualModule):
         opt_g, opt_d = self.optimizers()
         real_S, real_T = self.adversarial_input(batch["source"]), self.adversarial_input(batch["target"])
         with self.toggled_optimizer(opt_g), fast_precision(self.device, self.hparams.bf16):
-            fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"])
-            if self.hparams.reset_weight:
-                parts["reset"] = self.reset_loss(batch["source_resets"], batch["target_resets"])
+            fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"], self.resets(batch))
             self.descend(opt_g, sum(parts.values()))
         with self.toggled_optimizer(opt_d), fast_precision(self.device, self.hparams.bf16):
             d_T = self.discriminator_loss(self.D_T, real_T, self.pools["target"](fake_T))
@@ -133,46 +134,60 @@ class VisualTransformation(ManualModule):
         """What the GAN losses see: the newest frame of each stack, or the whole stack as channels."""
         return stack_channels(batch["pixels"][:, -self.frames :])
 
+    def resets(self, batch: dict[str, dict[str, Tensor]]) -> tuple[Tensor | None, Tensor | None]:
+        """First observations of episodes, source and target: pairs up to the reset noise."""
+        if not self.hparams.reset_weight:
+            return None, None
+        return self.adversarial_input(batch["source_resets"]), self.adversarial_input(batch["target_resets"])
+
     def generator_losses(
-        self, real_S: Tensor, real_T: Tensor, source: dict[str, Tensor]
+        self,
+        real_S: Tensor,
+        real_T: Tensor,
+        source: dict[str, Tensor],
+        resets: tuple[Tensor | None, Tensor | None] = (None, None),
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Weighted generator losses of equation (2), and the fakes for the discriminators."""
+        """Weighted generator losses of equation (2), and the fakes for the discriminators.
+
+        Args:
+            real_S: source images, (B, C, H, W), -1..1.
+            real_T: target images.
+            source: the source's whole stacks and states.
+            resets: images of first observations, source and target, with ``reset_weight``.
+        """
         w = self.hparams
         gan = GAN_LOSSES[w.gan_loss]
-        n = len(real_S)
         # One pass through each net for all that goes in: the batch is cheaper than the calls.
         older = self.older_frames(source)
-        out_G = self.G(torch.cat([real_S, real_T, older] if w.identity_weight else [real_S, older]))
-        out_back = self.G_back(torch.cat([real_T, real_S] if w.identity_weight else [real_T]))
-        fake_T, fake_S = out_G[:n], out_back[:n]
+        same_S, same_T = (real_S, real_T) if w.identity_weight else (None, None)
+        to_T = through(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
+        to_S = through(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
+        fake_T, fake_S = to_T["S"], to_S["T"]
         parts = {"g_target": gan(self.D_T(fake_T), True), "g_source": gan(self.D_S(fake_S), True)}
         parts["cycle"] = w.cycle_weight * (
             (self.G_back(fake_T) - real_S).abs().mean() + (self.G(fake_S) - real_T).abs().mean()
         )
         if w.identity_weight:
             parts["identity"] = w.identity_weight * (
-                (out_G[n : 2 * n] - real_T).abs().mean() + (out_back[n:] - real_S).abs().mean()
+                (to_T["T"] - real_T).abs().mean() + (to_S["S"] - real_S).abs().mean()
+            )
+        if w.reset_weight:
+            parts["reset"] = w.reset_weight * (
+                (to_T["reset"] - resets[1]).abs().mean() + (to_S["reset"] - resets[0]).abs().mean()
             )
         if self.P_T is not None and w.state_weight:
-            translated = self.whole_stack(fake_T, out_G[len(out_G) - len(older) :])
-            parts["state"] = w.state_weight * self.P_T.error(translated, source["state"])
+            translated = self.whole_stack(fake_T, to_T["older"])
+            parts["state"] = w.state_weight * self.P_T.error(jitter(translated, w.state_jitter), source["state"])
         return fake_S, fake_T, parts
 
-    def reset_loss(self, source: dict[str, Tensor], target: dict[str, Tensor]) -> Tensor:
-        """First observations of episodes, translated, against those of the other domain: pairs up to reset noise."""
-        S, T = self.adversarial_input(source), self.adversarial_input(target)
-        return self.hparams.reset_weight * ((self.G(S) - T).abs().mean() + (self.G_back(T) - S).abs().mean())
-
-    def older_frames(self, source: dict[str, Tensor]) -> Tensor:
+    def older_frames(self, source: dict[str, Tensor]) -> Tensor | None:
         """The frames that only state reconstruction needs: the older ones, if P^T looks at a stack and G at a frame."""
         needs = self.frames == 1 and self.P_T is not None and not self.P_T.rates and self.hparams.state_weight
-        if not needs:
-            return stack_channels(source["pixels"][:0, : self.frames])
-        return to_float(source["pixels"][:, :-1]).flatten(0, 1)
+        return to_float(source["pixels"][:, :-1]).flatten(0, 1) if needs else None
 
-    def whole_stack(self, newest: Tensor, older: Tensor) -> Tensor:
+    def whole_stack(self, newest: Tensor, older: Tensor | None) -> Tensor:
         """Translated stack (B, 3K, H, W) from its newest frame and the older ones."""
-        if not len(older):
+        if older is None:
             return newest
         older = older.unflatten(0, (len(newest), -1))
         return torch.cat([older, newest[:, None]], 1).flatten(1, 2)
@@ -207,3 +222,10 @@ class VisualTransformation(ManualModule):
             return min(1.0, 2.0 * (1.0 - self.share_done(step)))
 
         return [opt_g, opt_d], [torch.optim.lr_scheduler.LambdaLR(o, constant_then_linear) for o in (opt_g, opt_d)]
+
+
+def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
+    """Images of several kinds through a net in one pass; None stays None."""
+    given = {name: images for name, images in parts.items() if images is not None}
+    out = net(torch.cat(list(given.values()))).split([len(images) for images in given.values()])
+    return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
