@@ -1,11 +1,11 @@
 """Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
 
-    python benchmarks/pendulum.py --seeds 0 1 2 3 4   # makes the runs whose G and P^T are the sensor
+    python benchmarks/pendulum.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
     python benchmarks/discovery.py --seeds 0 1 2 3 4
 
-Targets look like the pendulum's hard domain and move like its source but for what is hidden. The sensor, P^T on images,
-is that of a finished run (trained against the hard domain itself: pole 200 kg), so cases other than the pole's mass
-use it on motions that it was not trained on. Writes results/discovery.csv.
+Targets look like the pendulum's hard domain and move like its source but for what is hidden. The sensor, the policy's
+encoder, is that of a finished run (trained against the hard domain itself: pole 200 kg), so cases other than the pole's
+mass use it on motions that it was not trained on. Writes results/discovery.csv.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
-from cli.run_folder import load_visual, open_run
+from cli.run_folder import load_estimator, load_visual, open_run
 from datamodules import write_trajectories
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import Domain
@@ -50,7 +50,7 @@ FIELDS = (
 def run(name: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
     grounding = open_run(folder)
-    worlds, G = grounding.worlds, load_visual(grounding)
+    worlds, sensor, G = grounding.worlds, load_estimator(grounding), load_visual(grounding)
     hidden, hard = CASES[name], worlds.task.domain("hard")
     target = Domain("hidden", hard.base, (*hard.effects, BodyMass("pole", OWN_MASS), *hidden))
     path = folder / "hidden" / f"{name.replace(' ', '_')}.h5"
@@ -59,7 +59,7 @@ def run(name: str, seed: int, steps: int, folder: Path) -> dict:
     write_trajectories(path, trajectories)
     started = time.perf_counter()
     result = discover(
-        worlds.task, worlds.source_domain, G, [path], [folder / "step_00/source.h5"], Discovery(True), seed
+        worlds.task, worlds.source_domain, sensor, G, [path], [folder / "step_00/source.h5"], Discovery(True), seed
     )
     return {"case": name, "seed": seed, "target_interactions": steps, **score(result, hidden),
             "seconds": round(time.perf_counter() - started, 1)}  # fmt: skip

@@ -23,7 +23,7 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
-from cli.run_folder import load_visual, open_run
+from cli.run_folder import load_estimator, open_run
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.data import UnusableData
@@ -55,7 +55,7 @@ def main(args: list[str]) -> int:
     """Run ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
     p.add_argument("--model", type=Path, help="nominal model (MJCF)")
-    p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose P^T reads images")
+    p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
     p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos (or images) and actions")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
     p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")
@@ -93,13 +93,13 @@ def main(args: list[str]) -> int:
 
 
 def read_images(run: Path, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
-    """The source of a run, and recordings of images as positions, read by the P^T of its last grounding step.
+    """The source of a run, and recordings of images as positions, read by the estimator of its last grounding step.
 
-    The residuals then hold the errors of P^T, which depend on the state and are no white noise: see decision 17.
+    The residuals then hold the errors of the estimator, which depend on the state and are no white noise: see decision 17.
     """
     grounding = open_run(run)
     spec = grounding.worlds.source_domain.spec()
-    return spec, readings([data], load_visual(grounding).P_T, spec.copy().compile().nq)
+    return spec, readings([data], load_estimator(grounding), spec.copy().compile().nq)
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

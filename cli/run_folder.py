@@ -9,6 +9,7 @@ import torch
 from cli.fit import GroundingCLI, build
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
 
 
 def open_run(run: Path) -> IterativeGrounding:
@@ -40,6 +41,12 @@ def load_visual(grounding: IterativeGrounding) -> VisualTransformation:
     if not made:
         raise ValueError(f"{run} has no finished visual stage yet; resume it: idapt fit --config {run / 'config.yaml'}")
     return load(grounding.fit.make.visual(**grounding.worlds.dimensions), made[-1])
+
+
+def load_estimator(grounding: IterativeGrounding) -> PixelStatePredictor:
+    """What estimates states from target images: the newest policy's encoder, where that is an estimator, else P^T."""
+    G, made = load_visual(grounding), sorted(grounding.stages.run_dir.glob("step_*/policy/final.ckpt"))
+    return load_policy(grounding, made[-1]).estimator(G) if made else G.P_T
 
 
 def load(module, path: Path):

@@ -1,9 +1,10 @@
 """Which physical effect does the source lack? Found from the target's images and actions alone.
 
-P^T turns the target's images into positions, and the diagnosis looks for the effect with which the source replays them.
-P^T on images is a poor sensor, with errors that depend on the state, so the same diagnosis is made a second time on
-recordings of the source, seen through G and P^T: there nothing is missing, and what is found is an error of the
-sensor. What is found in the target is believed if the error there is clearly larger and it is something else.
+An estimator of the state, fitted to what G shows of the source, turns the target's images into positions, and the
+diagnosis looks for the effect with which the source replays them. It is a poor sensor, with errors that depend on the
+state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
+missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
+clearly larger and it is something else.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ CLEARLY_MORE = 1.3
 """How many times as large as in the control the error must be in some channel of the target."""
 See = Callable[[np.ndarray], np.ndarray]
 CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
-"""What is looked for by default: what an environment can be given, and what a sensor as poor as P^T can tell apart."""
+"""What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +94,16 @@ def pieces(data: Trajectories, length: int) -> Trajectories:
 
 
 def discover(
-    task: Task, source: Domain, G: VisualTransformation, target: Sequence[Path], control: Sequence[Path],
-    options: Discovery, seed: int,
+    task: Task, source: Domain, sensor: PixelStatePredictor, G: VisualTransformation, target: Sequence[Path],
+    control: Sequence[Path], options: Discovery, seed: int,
 ) -> dict:  # fmt: skip
     """Diagnose the source by the target's images, and the sensor by the source's.
 
     Args:
         task: whose state is positions followed by velocities.
         source: the domain to be repaired, with what has been found so far.
-        G: with P^T, the sensor.
+        sensor: reads positions off target images.
+        G: shows source images as target images.
         target: trajectory files of the target; images and actions are all that is used.
         control: trajectory files of the source as it is now, with images.
         options: what to look for.
@@ -116,8 +118,8 @@ def discover(
     nq = spec.copy().compile().nq
     settings = Settings(max_effects=options.max_effects)
 
-    seen = readings(target, G.P_T, nq)
-    checked = readings(control, G.P_T, nq, lambda frames: G.translate(frames[:, None])[:, 0])
+    seen = readings(target, sensor, nq)
+    checked = readings(control, sensor, nq, lambda frames: G.translate(frames[:, None])[:, 0])
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in (seen, checked))))
     seen, checked = (

@@ -87,9 +87,9 @@ class IterativeGrounding:
         self.evaluation.direct_transfer(pi)
 
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
-        self.repair_source(0, D_T, D_S[0], G)
-        F = None  # the identity
         pi = self.fit.estimator(0, D_S, pretrain.estimator, G, pi)
+        self.repair_source(0, D_T, D_S[0], G, pi)
+        F = None  # the identity
         pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
 
@@ -98,9 +98,9 @@ class IterativeGrounding:
             D_S.append(self.roll_out_grounded(k, pi, G, F))
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
             G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
-            if self.repair_source(k, D_T, None, G):
-                F = None  # it was F of another source
             pi = self.fit.estimator(k, self.recent(D_S), finetune.estimator, G, pi)
+            if self.repair_source(k, D_T, None, G, pi):
+                F = None  # it was F of another source
             if self.schedule.action_transformation:
                 F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore)
             pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)
@@ -124,10 +124,10 @@ class IterativeGrounding:
         """D^S_online: the current policy in the grounded source; source images and states are kept."""
         return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
 
-    def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G) -> bool:
+    def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G, pi) -> bool:
         """Add to the source the effects that the target's images show it lacks. Returns whether there were any.
 
-        ``D_S`` are recordings of the source as it is; None makes them.
+        ``D_S`` are recordings of the source as it is; None makes them. Images are read by π's estimator.
         """
         if not self.effects.discover:
             return False
@@ -136,7 +136,8 @@ class IterativeGrounding:
         target = D_T if k == 0 else [D_T[0], D_T[-1]]
 
         def make(seed: int) -> dict:
-            return discover(self.worlds.task, self.worlds.source_domain, G, target, [D_S], self.effects, seed)
+            task, domain = self.worlds.task, self.worlds.source_domain
+            return discover(task, domain, pi.estimator(G), G, target, [D_S], self.effects, seed)
 
         found = [effect_from_dict(e) for e in self.stages.measure(k, "effects", make)["effects"]]
         self.worlds.repair(found)

@@ -25,11 +25,9 @@ def picture(qpos):
 class Reader(torch.nn.Module):
     """Reads :func:`picture`, with noise, and with a gain on angles as a poor G would give it."""
 
-    shown = (0, 1)
-
     def __init__(self, gain=1.0):
         super().__init__()
-        self.gain = gain
+        self.gain, self.shown = gain, [0, 1]
         self.parameter = torch.nn.Parameter(torch.zeros(()))
 
     def predict(self, stacks):
@@ -39,12 +37,8 @@ class Reader(torch.nn.Module):
         return torch.cat([q[:, :1], self.gain * q[:, 1:], torch.zeros_like(q)], -1)
 
 
-class Sensor:
+class Identity:
     """What :func:`discover` needs of a visual transformation."""
-
-    def __init__(self, gain=1.0):
-        self.P_T = Reader(gain)
-        self.P_T.shown = [0, 1]
 
     @staticmethod
     def translate(pixels):
@@ -74,7 +68,7 @@ def found(tmp_path, *hidden, gain=1.0):
     source = task.domain("source")
     control = recorded(tmp_path / "control.h5", source, 1)
     target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
-    return discover(task, source, Sensor(gain), [target], [control], LOOK_FOR, seed=0)
+    return discover(task, source, Reader(gain), Identity(), [target], [control], LOOK_FOR, seed=0)
 
 
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from idapt_pl.losses import sac_target, squashed_log_prob
 from idapt_pl.misperception import Faithful, Misperception
 from idapt_pl.modules.training import ManualModule, fast_precision
+from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision, orthogonal_init
 from idapt_pl.nets.images import jitter, stack_channels
 from idapt_pl.nets.mlp import mlp
@@ -156,6 +157,10 @@ class AsymmetricSAC(ManualModule):
         """With a supervised encoder, start it as a copy of a fitted state predictor."""
         if self.hparams.encoder == "supervised":
             self.actor.encoder.load_state_dict(predictor.state_dict())
+
+    def estimator(self, G: VisualTransformation) -> PixelStatePredictor:
+        """What estimates states from target images: the supervised encoder, else P^T."""
+        return self.actor.encoder if self.hparams.encoder == "supervised" else G.P_T
 
     @torch.no_grad()
     def encode(self, pixels: np.ndarray) -> Tensor:
