@@ -95,7 +95,7 @@ def main(args: list[str]) -> int:
 def read_images(run: Path, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
     """The source of a run, and recordings of images as positions, read by the estimator of its last grounding step.
 
-    The residuals then hold the errors of the estimator, which depend on the state and are no white noise: see decision 17.
+    The residuals then hold the estimator's errors, which depend on the state and are no white noise: see decision 17.
     """
     grounding = open_run(run)
     spec = grounding.worlds.source_domain.spec()
