@@ -4,35 +4,58 @@ from __future__ import annotations
 
 import logging
 
-from idapt_pl.diagnosis.confirming import handicap
+from idapt_pl.diagnosis.confirming import FAR, PARSIMONY, handicap, rough_fit
 from idapt_pl.diagnosis.integration import retest_numerics
-from idapt_pl.diagnosis.state import Found, Search
+from idapt_pl.diagnosis.screening import screening, shortlist
+from idapt_pl.diagnosis.state import Found, Search, Tried
 from idapt_pl.diagnosis.statistics import effects_of, paired_gain
 
 log = logging.getLogger(__name__)
 
 
+PASSES = 2
+"""How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
+
+
 def swap(search: Search) -> None:
-    """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again."""
+    """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again.
+
+    Where several effects are missing at once and much of the error stays, the first choice was made in their shadow,
+    and so were its rivals: then every effect has to stand against whatever the screen finds best in its place.
+    """
     search.progress("trying rivals", 0.88)
-    for f in search.found[:-1] if len(search.found) > 1 else search.found:
-        if swap_one(search, f):
-            search.renew()
-            search.settle()
-            retest_numerics(search)
+    for _ in range(PASSES):
+        far = len(search.found) > 1 and float(search.loss(search.effects).mean()) > FAR
+        turns = search.found if far or len(search.found) < 2 else search.found[:-1]
+        swapped = [swap_one(search, f, in_place_of(search, f) if far else f.rivals) for f in list(turns)]
+        if not far or not any(swapped):
+            return
 
 
-def swap_one(search: Search, f: Found) -> bool:
+def in_place_of(search: Search, f: Found) -> list[Tried]:
+    """The best candidates for the place of a found effect, given the others; roughly refitted."""
+    found, x = search.found, search.x
+    search.found = [g for g in found if g is not f]
+    search.settle()
+    chosen = shortlist(screening(search, len(found)), search.settings.confirm)
+    losses = {id(t): rough_fit(search, t) for t in chosen}
+    search.found, search.x = found, x
+    rivals = [t for t in chosen if (t.candidate.label, t.candidate.names) != (f.candidate.label, f.candidate.names)]
+    return sorted(rivals, key=lambda t: losses[id(t)])[:3]
+
+
+def swap_one(search: Search, f: Found, rivals: list[Tried]) -> bool:
     """Whether a rival took the place of an effect."""
     rest = [g for g in search.found if g is not f]
     now = search.loss(search.effects)
     best, best_loss, best_x = None, float(now.mean()), []
-    for t in f.rivals:
+    for t in rivals:
         candidates = [*(g.candidate for g in rest), t.candidate]
         fit = search.refit(search.fit, candidates, [*(g.x for g in rest), t.x[-1]], 4)
         after = search.loss((*search.fixed, *effects_of(candidates, fit.x)))
         gain, error = paired_gain(now, after, search.held_out.windows.episode)
-        if after.mean() + handicap(t) < best_loss and gain > max(error, 0.03 * float(now.mean())):
+        dearer = PARSIMONY * max(t.candidate.size - f.candidate.size, 0) * max(gain, 0.0)
+        if after.mean() + handicap(t) + dearer < best_loss and gain > max(error, 0.03 * float(now.mean())):
             best, best_loss, best_x = t, float(after.mean()), fit.x
     if best is None:
         return False
@@ -40,6 +63,9 @@ def swap_one(search: Search, f: Found) -> bool:
     f.candidate, f.x, f.equivalent = best.candidate, best_x[-1], []
     for g, x in zip(rest, best_x[:-1], strict=True):
         g.x = x
+    search.renew()
+    search.settle()
+    retest_numerics(search)
     return True
 
 
