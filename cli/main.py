@@ -27,6 +27,8 @@ HARMLESS = (
     "Your `IterableDataset` has `__len__`",
     "Found \\d+ module\\(s\\) in eval mode",  # the frozen ones
     "The '\\w+' does not have many workers",
+    "You defined a `validation_step` but have no `val_dataloader`",
+    "Total length of `list` across ranks is zero",  # there are no test images
     "The number of training batches \\(\\d+\\) is smaller than the logging interval",
     "\\(655\\d\\d\\) ",  # glfw, on a machine without a screen
 )

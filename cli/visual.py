@@ -7,6 +7,7 @@ import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import torch
@@ -18,7 +19,7 @@ from cli.provenance import write_provenance
 from datamodules.images import ImageDomains
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import Vision
-from idapt_pl.predictions import TranslationWriter
+from cli.visual_writer import TranslationWriter
 from idapt_pl.probes import fit_state_predictor
 
 log = logging.getLogger(__name__)
@@ -66,7 +67,12 @@ class VisualCLI(LightningCLI):
                 save_config_callback=None,
                 auto_configure_optimizers=False,
                 seed_everything_default=0,
-                trainer_defaults={"precision": "bf16-mixed", "max_epochs": 200, "enable_model_summary": False},
+                trainer_defaults={
+                    "precision": "bf16-mixed",
+                    "max_epochs": 200,
+                    "log_every_n_steps": 10,
+                    "enable_model_summary": False,
+                },
                 parser_kwargs={"prog": "idapt visual", "description": __doc__, "exit_on_error": False},
             )
 
@@ -141,10 +147,14 @@ class VisualCLI(LightningCLI):
         kwargs["enable_progress_bar"] = sys.stderr.isatty() and config.enable_progress_bar is not False
         return super().instantiate_trainer(**kwargs)
 
-    def after_fit(self) -> None:
-        """An interrupted run did not finish."""
-        if self.trainer.interrupted:
-            raise KeyboardInterrupt
+    def fit(self, **arguments: Any) -> None:
+        """Train; Lightning leaves the program where a run is interrupted, without a word."""
+        try:
+            self.trainer.fit(**arguments)
+        except SystemExit:
+            if self.trainer.interrupted:
+                raise KeyboardInterrupt from None
+            raise
         if self.trainer.is_global_zero:
             log.info("%d epochs done -> %s", self.trainer.current_epoch, self.run_dir / "last.ckpt")
 

@@ -1,4 +1,4 @@
-"""Images from folders, datasets and trajectory files: read right, brought to one size, and plain about what is wrong."""
+"""Images from folders, datasets and trajectory files: read right, at one size, and plain about what is wrong."""
 
 import h5py
 import numpy as np
@@ -66,7 +66,9 @@ def broken(folder, kind):
     return path
 
 
-@pytest.mark.parametrize(("kind", "says"), [("empty", "0 bytes"), ("truncated", "cannot be read"), ("foreign", "no im")])
+@pytest.mark.parametrize(
+    ("kind", "says"), [("empty", "0 bytes"), ("truncated", "cannot be read"), ("foreign", "no im")]
+)
 def test_a_broken_image_is_named_with_what_is_wrong(tmp_path, kind, says):
     path = broken(tmp_path, kind)
     with pytest.raises(ImageError, match=rf"{path.name}.*{says}"):
@@ -77,7 +79,9 @@ def test_a_broken_image_is_named_with_what_is_wrong(tmp_path, kind, says):
 def test_broken_images_are_an_error_or_left_out_and_counted_as_chosen(photos, caplog, cache):
     for kind in ("empty", "truncated"):
         broken(photos / "trainA", kind)
-    with pytest.raises(ImageError, match=r"trainA: 2 of 7 images cannot be read.*empty\.png.*truncated\.png.*on_bad skip"):
+    with pytest.raises(
+        ImageError, match=r"trainA: 2 of 7 images cannot be read.*empty\.png.*truncated\.png.*on_bad skip"
+    ):
         from_folder(photos / "trainA", Reading(cache=cache))
     images = from_folder(photos / "trainA", Reading(on_bad="skip", cache=cache))
     assert images.names == [f"{i}.png" for i in range(5)] and "2 of 7" in caplog.text

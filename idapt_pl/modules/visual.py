@@ -25,6 +25,9 @@ from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.nets.images import height_width, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
+SMALLEST = 24
+"""Side of the smallest images from which a PatchGAN has more than one place left to normalise over, pixels."""
+
 
 class VisualTransformation(ManualModule):
     """G: source images to target-style images, trained unpaired, with the state kept by P^T.
@@ -98,6 +101,10 @@ class VisualTransformation(ManualModule):
         self.save_hyperparameters({"vision": asdict(vision), "rates": dict(rates or {})})
         if any(side % 4 for side in height_width(image_size)):
             raise ValueError(f"image_size must be divisible by 4 for the ResNet generator, got {image_size}")
+        if min(height_width(image_size)) < SMALLEST:
+            raise ValueError(
+                f"images must have at least {SMALLEST} pixels a side for the discriminators, got {image_size}"
+            )
         if consistency_weight and frame_stack < 2:
             raise ValueError("consistency_weight compares the frames of a stack, and frame_stack is 1: leave it at 0")
         channels = 3 if translate == "frame" else 3 * frame_stack
@@ -110,8 +117,8 @@ class VisualTransformation(ManualModule):
         if state_dim:
             self.P_T = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
         self.pools = {"source": ImagePool(pool_size), "target": ImagePool(pool_size)}
-        self.nce_layers = (0, 1, 2, 3, 3 + blocks // 2)  # convolutions, first and middle residual block
-        self.H = PatchProjector([width, 2 * width, *[4 * width] * 3]) if contrastive_weight else None
+        self.nce_layers = sorted({0, 1, 2, 3, 3 + blocks // 2})  # convolutions, first and middle residual block
+        self.H = PatchProjector([width * min(2**i, 4) for i in self.nce_layers]) if contrastive_weight else None
         self.G_average = None
         if ema_decay:
             self.G_average = AveragedModel(self.G, avg_fn=partial(warmed_up_average, ema_decay)).requires_grad_(False)
