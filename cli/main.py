@@ -27,6 +27,7 @@ HARMLESS = (
     "Your `IterableDataset` has `__len__`",
     "Found \\d+ module\\(s\\) in eval mode",  # the frozen ones
     "The '\\w+' does not have many workers",
+    "Metric `Kernel Inception Distance` will save all extracted features",
     "You defined a `validation_step` but have no `val_dataloader`",
     "Total length of `list` across ranks is zero",  # there are no test images
     "The number of training batches \\(\\d+\\) is smaller than the logging interval",

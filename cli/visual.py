@@ -16,10 +16,11 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli.provenance import write_provenance
+from cli.visual_quality import TranslationQuality
+from cli.visual_writer import TranslationWriter
 from datamodules.images import ImageDomains
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import Vision
-from cli.visual_writer import TranslationWriter
 from idapt_pl.probes import fit_state_predictor
 
 log = logging.getLogger(__name__)
@@ -72,6 +73,7 @@ class VisualCLI(LightningCLI):
                     "max_epochs": 200,
                     "log_every_n_steps": 10,
                     "enable_model_summary": False,
+                    "num_sanity_val_steps": 0,
                 },
                 parser_kwargs={"prog": "idapt visual", "description": __doc__, "exit_on_error": False},
             )
@@ -82,6 +84,7 @@ class VisualCLI(LightningCLI):
         parser.add_class_arguments(Vision, "vision")
         parser.add_class_arguments(Labelled, "labelled")
         parser.add_lightning_class_args(ImageDomains, "data")
+        parser.add_lightning_class_args(TranslationQuality, "quality")
         parser.add_lightning_class_args(TranslationWriter, "predictions")
         parser.add_lightning_class_args(L.Trainer, "trainer")
         parser.set_defaults({f"trainer.{k}": v for k, v in self.trainer_defaults.items()})

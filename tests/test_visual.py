@@ -1,5 +1,6 @@
 """`idapt visual`: trained on folders and trajectories, resumed, used, and plain about mistakes."""
 
+import json
 import os
 import subprocess
 import sys
@@ -132,14 +133,19 @@ def test_trajectories_with_states_are_translated_into_trajectories(tmp_path, num
     for name in ("s", "t"):
         write_trajectories(tmp_path / f"{name}.h5", numbered([3, 4], size=24))
     options = {"data__source": tmp_path / "s.h5", "data__frame_stack": 2}
+    tests = {"data__test_source": tmp_path / "s.h5", "data__test_target": tmp_path / "t.h5", "data__paired": "true"}
     code, err = fit(
-        capsys, tmp_path / "run", **options, data__target=tmp_path / "t.h5", model__consistency_weight=1.0,
+        capsys, tmp_path / "run", **options, **tests, data__target=tmp_path / "t.h5", model__consistency_weight=1.0,
+        quality__target_states=tmp_path / "t.h5", quality__probe_batches=2, quality__state_batches=2,
         model__ema_decay=0.9, labelled__batches=5, trainer__max_epochs=1, trainer__limit_train_batches=2,
         vision__pool="keypoints", vision__strides="[2,1,1,1]",
     )  # fmt: skip
     assert code == 0, err
-    logged = (tmp_path / "run" / "metrics.csv").read_text() if (tmp_path / "run" / "metrics.csv").exists() else ""
+    logged = (tmp_path / "run" / "metrics.csv").read_text()
     assert "visual/state" in logged and "visual/consistency" in logged
+    figures = json.loads((tmp_path / "run" / "quality.json").read_text())
+    assert figures["state_error"] > 0 and figures["state_error_probe"] > 0 and figures["state_error_probe_floor"] > 0
+    assert (tmp_path / "run" / "quality.gif").exists()
     out = tmp_path / "translated.h5"
     used = {**options, "run_dir": tmp_path / "run", "trainer__accelerator": "cpu"}
     code, err = visual(capsys, "predict", **used, predictions__out=tmp_path / "folder")
@@ -175,6 +181,27 @@ def test_using_a_model_that_is_none_is_told_plainly(tmp_path, capsys):
     torch.save({"state_dict": {}}, tmp_path / "other.ckpt")
     code, err = visual(capsys, "predict", ckpt_path=tmp_path / "other.ckpt")
     assert code == 1 and "other.ckpt: not a checkpoint of a visual transformation" in err
+
+
+def test_translations_are_measured_before_and_after_and_alike_in_fit_and_test(tmp_path, capsys):
+    for letter, color, background in (("A", (255, 0, 0), 20), ("B", (0, 0, 255), 120)):
+        for part, n in (("train", 12), ("test", 13)):
+            squares(tmp_path / "pairs" / f"{part}{letter}", n, color, background)
+    options = {"data__root": tmp_path / "pairs", "data__paired": "true", "quality__probe_batches": 10}
+    assert fit(capsys, tmp_path / "run", **options, trainer__max_epochs=1)[0] == 0
+    figures = tmp_path / "run" / "quality.json"
+    after_fit = json.loads(figures.read_text())
+    assert set(after_fit) == {"kid", "kid_before", "kid_floor", "psnr", "psnr_before", "ssim", "ssim_before"}
+    red, blue = (iio.imread(tmp_path / "pairs" / f"test{x}" / "0.png").astype(float) for x in "AB")
+    assert after_fit["psnr_before"] == pytest.approx(10 * np.log10(255**2 / np.square(red - blue).mean()), abs=1e-3)
+    assert after_fit["kid_floor"] < after_fit["kid_before"]
+    figures.unlink()
+    used = {"run_dir": tmp_path / "run", "trainer__accelerator": "cpu"}
+    assert visual(capsys, "test", **options, **used)[0] == 0
+    assert json.loads(figures.read_text()) == pytest.approx(after_fit, abs=1e-3)
+    assert iio.imread(tmp_path / "run" / "quality.png").shape[2] == 3
+    code, err = visual(capsys, "test", data__source=tmp_path / "pairs" / "trainA", **used)
+    assert code == 1 and "data.test_source" in err
 
 
 @pytest.mark.parametrize("preset", sorted((ROOT / "configs" / "visual").glob("*.yaml")), ids=lambda p: p.stem)
