@@ -15,6 +15,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
+from cli import visual_export
 from cli.provenance import write_provenance
 from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
@@ -25,6 +26,7 @@ from idapt_pl.probes import fit_state_predictor
 
 log = logging.getLogger(__name__)
 
+DESCRIPTION = f"{__doc__} `idapt visual export --help`: G as one file for deployment."
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "rates", "dt", "vision", "bf16"}
 """Constructor arguments that data, checkpoint or Trainer determine (precision is the Trainer's)."""
 
@@ -75,7 +77,7 @@ class VisualCLI(LightningCLI):
                     "enable_model_summary": False,
                     "num_sanity_val_steps": 0,
                 },
-                parser_kwargs={"prog": "idapt visual", "description": __doc__, "exit_on_error": False},
+                parser_kwargs={"prog": "idapt visual", "description": DESCRIPTION, "exit_on_error": False},
             )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -173,6 +175,8 @@ def strategy(accelerator: str, devices: str | int | list[int], nodes: int) -> st
 
 
 def main(args: list[str]) -> int:
-    """Run ``idapt visual fit|validate|test|predict``."""
+    """Run ``idapt visual fit|validate|test|predict|export``."""
+    if args[:1] == ["export"]:
+        return visual_export.main(args[1:])
     VisualCLI(args)
     return 0

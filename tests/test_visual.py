@@ -1,5 +1,6 @@
 """`idapt visual`: trained on folders and trajectories, resumed, used, and plain about mistakes."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -214,6 +215,31 @@ def test_presets_train(preset, photos, tmp_path, capsys):
     settings = dict(VisualTransformation.from_checkpoint(tmp_path / "run" / "last.ckpt").hparams)
     for name, value in yaml.safe_load(preset.read_text())["model"].items():
         assert settings[name] == (tuple(value) if isinstance(value, list) else value), name
+
+
+@pytest.mark.parametrize(("suffix", "back"), [(".pt2", False), (".onnx", True)])
+def test_exported_g_is_one_file_that_does_what_the_module_does(trained, tmp_path, capsys, suffix, back):
+    if suffix == ".onnx":
+        pytest.importorskip("onnxscript")
+        pytest.importorskip("onnxruntime")
+    path = tmp_path / f"G{suffix}"
+    assert main(["visual", "export", f"--run_dir={trained}", f"--out={path}", *["--back"] * back]) == 0
+    assert "differs by at most 0 of 255" in capsys.readouterr().out
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    module = VisualTransformation.from_checkpoint(trained / "last.ckpt")
+    pixels = torch.randint(0, 256, (1, 1, 28, 44, 3), dtype=torch.uint8)
+    with torch.no_grad():
+        expected = module.translate_stacks(pixels, back).numpy().astype(int)
+    if suffix == ".pt2":
+        found = torch.export.load(path).module()(pixels).numpy()
+    else:
+        found = importlib.import_module("onnxruntime").InferenceSession(path).run(None, {"pixels": pixels.numpy()})[0]
+    assert np.abs(found - expected).max() <= (2 if module.hparams.bf16 else 1)
+
+
+def test_exporting_to_another_kind_of_file_is_told_plainly(trained, tmp_path, capsys):
+    code, err = visual(capsys, "export", run_dir=trained, out=tmp_path / "G.tflite")
+    assert code == 1 and ".pt2, .onnx" in err and not (tmp_path / "G.tflite").exists()
 
 
 @pytest.mark.slow
