@@ -159,6 +159,15 @@ def test_trajectories_with_states_are_translated_into_trajectories(tmp_path, num
         assert not np.array_equal(a.observations["pixels"], b.observations["pixels"])
 
 
+def test_torchvision_datasets_are_named_on_the_command_line_and_loaded_by_workers(tmp_path, capsys):
+    fake = "torchvision.datasets.FakeData"
+    data = {"data__source__class_path": fake, "data__source__init_args__size": 3, "data__target__class_path": fake}
+    data |= {"data__target__init_args__size": 2, "data__workers": 1, "data__cache": "false"}
+    data |= {f"data__{d}__init_args__image_size": "[3,24,32]" for d in ("source", "target")}
+    assert fit(capsys, tmp_path / "run", **data, trainer__max_epochs=1)[0] == 0
+    assert VisualTransformation.from_checkpoint(tmp_path / "run" / "last.ckpt").hparams.image_size == [24, 32]
+
+
 @pytest.mark.parametrize(
     ("options", "expected", "says"),
     [
