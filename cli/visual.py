@@ -49,9 +49,11 @@ class Labelled:
 class SeedEpochs(L.Callback):
     """Seeds every epoch on its own, so that a run that was interrupted goes on as if it had not been."""
 
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        cli_seed = getattr(trainer, "root_seed", 0)
-        torch.manual_seed((cli_seed * 1_000_003 + trainer.current_epoch) * 1009 + trainer.global_rank)
+        torch.manual_seed((self.seed * 1_000_003 + trainer.current_epoch) * 1009 + trainer.global_rank)
 
 
 class VisualCLI(LightningCLI):
@@ -99,9 +101,8 @@ class VisualCLI(LightningCLI):
         self.options = self.config_init[self.subcommand]
         self.run_dir = Path(self.options.run_dir)
         self.datamodule = self.options.data
-        self.model = self.new_model() if self.subcommand == "fit" else self.trained_model()
         self.trainer = self.instantiate_trainer()
-        self.trainer.root_seed = self.options.seed_everything
+        self.model = self.new_model() if self.subcommand == "fit" else self.trained_model()
 
     def new_model(self) -> VisualTransformation:
         """A model for the data; with labels, around a P^S that is fitted to them first."""
@@ -109,7 +110,7 @@ class VisualCLI(LightningCLI):
         model = VisualTransformation(**o.model.as_dict(), vision=o.vision, bf16=False, **dimensions)
         self.resume()
         if model.P_T is not None and not o.ckpt_path:
-            device = torch.device("cuda") if torch.cuda.is_available() else torch.device("cpu")
+            device = self.trainer.strategy.root_device
             source = self.datamodule.load("source")
             P_S = o.vision.predictor(
                 dimensions["image_size"], dimensions["frame_stack"], source.labels.shape[1], {}, 1.0
@@ -130,6 +131,9 @@ class VisualCLI(LightningCLI):
         if self.options.ckpt_path is None and last.exists():
             self.options.ckpt_path = str(last)
             log.info("going on from %s", last)
+        metrics = self.run_dir / "metrics.csv"
+        if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
+            metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")
         self.options.weights_only = True
 
     def trained_model(self) -> VisualTransformation:
@@ -142,13 +146,14 @@ class VisualCLI(LightningCLI):
         """The Trainer of the config, logging to the run folder and keeping its last checkpoint."""
         config = self.options.trainer
         if config.logger in (None, True):
-            kwargs["logger"] = [make(self.run_dir, name="", version="") for make in (TensorBoardLogger, CSVLogger)]
+            kinds = {"fit": (TensorBoardLogger, CSVLogger), "predict": ()}.get(self.subcommand, (TensorBoardLogger,))
+            kwargs["logger"] = [make(self.run_dir, name="", version="") for make in kinds]
         if self.subcommand == "fit":
             keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
-            kwargs["callbacks"] = [*(config.callbacks or []), SeedEpochs(), keep]
+            kwargs["callbacks"] = [*(config.callbacks or []), SeedEpochs(int(self.options.seed_everything)), keep]
         if config.strategy in ("auto", "ddp"):
             kwargs["strategy"] = strategy(config.accelerator, config.devices, int(config.num_nodes))
-        kwargs |= {"default_root_dir": str(self.run_dir), "use_distributed_sampler": True}
+        kwargs["default_root_dir"] = str(self.run_dir)
         kwargs["enable_progress_bar"] = sys.stderr.isatty() and config.enable_progress_bar is not False
         return super().instantiate_trainer(**kwargs)
 

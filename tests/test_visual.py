@@ -119,6 +119,7 @@ def test_a_run_that_was_interrupted_goes_on_as_if_it_had_not_been(trained, photo
         code, err = fit(capsys, run, data__root=photos)
     assert code == 1 and "the same command resumes it" in err
     assert fit(capsys, run, data__root=photos)[0] == 0
+    assert (run / "metrics_0.csv").exists(), "what was measured before the interruption is kept"
     uninterrupted, resumed = weights(trained), weights(run)
     assert all(torch.equal(uninterrupted[k], resumed[k]) for k in uninterrupted)
 

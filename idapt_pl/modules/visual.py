@@ -121,7 +121,8 @@ class VisualTransformation(ManualModule):
         self.H = PatchProjector([width * min(2**i, 4) for i in self.nce_layers]) if contrastive_weight else None
         self.G_average = None
         if ema_decay:
-            self.G_average = AveragedModel(self.G, avg_fn=partial(warmed_up_average, ema_decay)).requires_grad_(False)
+            self.G_average = AveragedModel(self.G, multi_avg_fn=partial(warmed_up_average, ema_decay))
+            self.G_average.requires_grad_(False)
         self.prepare_nets(channels_last, compile_nets)
 
     @classmethod
@@ -322,6 +323,9 @@ class VisualTransformation(ManualModule):
         return [opt_g, opt_d], [torch.optim.lr_scheduler.LambdaLR(o, constant_then_linear) for o in (opt_g, opt_d)]
 
 
-def warmed_up_average(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:
+@torch.no_grad()
+def warmed_up_average(decay: float, averages: list[Tensor], currents: list[Tensor], updates: Tensor) -> None:
     """A step of the exponential moving average, quick at first so that the initial weights are forgotten."""
-    return torch.lerp(average, current, 1 - min(decay, float((1 + updates) / (10 + updates))))
+    share = 1 - min(decay, float((1 + updates) / (10 + updates)))
+    for average, current in zip(averages, currents, strict=True):
+        average.lerp_(current, share)
