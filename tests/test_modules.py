@@ -209,6 +209,17 @@ def test_options_that_are_off_leave_the_checkpoint_as_it_was():
     assert parts == {"G", "G_back", "D_T", "D_S", "P_T"}
 
 
+def test_a_stages_checkpoint_is_enough_to_make_the_module_again(tmp_path):
+    rates = {"rates": {1: 0}, "dt": 0.04}
+    settings = {**SMALL, "vision": Vision(strides=(2, 2, 1, 1), pool="keypoints", rates="differences")}
+    module = VisualTransformation(2, **settings, **rates, width=4, blocks=1, discriminator_width=4)
+    state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
+    torch.save(state, tmp_path / "final.ckpt")
+    again = VisualTransformation.from_checkpoint(tmp_path / "final.ckpt")
+    assert again.P_T.rates == {1: 0} and again.P_T.dt == 0.04
+    assert all(torch.equal(v, again.state_dict()[k]) for k, v in module.state_dict().items())
+
+
 def test_whole_stacks_are_translated_frame_by_frame_as_single_frames_are():
     module = visual(state_dim=0)
     pixels = dots(3, (200, 30, 70), (10, 20, 30))[0]
