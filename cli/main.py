@@ -12,6 +12,7 @@ import warnings
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
+    "visual": "train and use the visual transformation alone, on any two sets of images",
     "collect": "write a trajectory file from a task, domain and policy",
     "gallery": "pictures of all tasks and domains, and a table of what differs",
     "evaluate": "target and source returns of a finished run",
@@ -26,6 +27,10 @@ HARMLESS = (
     "Your `IterableDataset` has `__len__`",
     "Found \\d+ module\\(s\\) in eval mode",  # the frozen ones
     "The '\\w+' does not have many workers",
+    "Metric `Kernel Inception Distance` will save all extracted features",
+    "You defined a `validation_step` but have no `val_dataloader`",
+    "Total length of `list` across ranks is zero",  # there are no test images
+    "The number of training batches \\(\\d+\\) is smaller than the logging interval",
     "\\(655\\d\\d\\) ",  # glfw, on a machine without a screen
 )
 """Warnings of other packages that a user can do nothing about, as patterns of how they begin."""

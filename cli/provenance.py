@@ -15,6 +15,9 @@ from jsonargparse import ArgumentParser, Namespace
 from idapt_pl.domains.rendering import filament_is_used
 from idapt_pl.files import write_atomically, write_json
 
+CHANGE_NOTHING = {"config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers"}
+"""Keys that may differ in a resumed run."""
+
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
 
 
@@ -36,7 +39,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
         run_dir / "run.json",
         {
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seed": config.seed,
+            "seed": config.get("seed", config.get("seed_everything")),
             "git_commit": git_commit(),
             "python": platform.python_version(),
             "platform": platform.platform(),
@@ -52,7 +55,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
 def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
     """Dotted keys whose values differ, but for those that change nothing of what a run has done so far."""
     keys = []
-    for key in sorted({*old, *new} - {"config", "trainer", "oracle"}):
+    for key in sorted({*old, *new} - CHANGE_NOTHING):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):
             keys += changed_keys(a, b, f"{prefix}{key}.")

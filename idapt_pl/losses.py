@@ -24,6 +24,33 @@ def smoothed_bce(logits: Float[Tensor, ...], real: bool) -> Float[Tensor, ""]:
 GAN_LOSSES: dict[str, Callable[[Tensor, bool], Tensor]] = {"lsgan": lsgan, "bce": smoothed_bce}
 
 
+def patch_nce(
+    query: Float[Tensor, "b p d"], key: Float[Tensor, "b p d"], temperature: float = 0.07
+) -> Float[Tensor, ""]:
+    """Cross-entropy of telling a patch's own counterpart from the image's other patches (Park et al. 2020, eq. 3).
+
+    Args:
+        query: unit features of the translated image's patches.
+        key: of the source image's, at the same places; no gradient flows into them.
+        temperature: τ.
+    """
+    logits = query @ key.detach().mT / temperature  # (b, p, p)
+    own = torch.arange(logits.shape[1], device=logits.device).expand(logits.shape[:2])
+    return nnf.cross_entropy(logits.flatten(0, 1).float(), own.flatten())
+
+
+def flicker(
+    translated: Float[Tensor, "b k c h w"], source: Float[Tensor, "b k c h w"], sharpness: float = 50.0
+) -> Float[Tensor, ""]:
+    """E[m |G(o_t) - G(o_t-1)|], m = exp(-α |o_t - o_t-1|²), images in 0..1: what stands still must stay as it is.
+
+    The temporal loss of Lai et al. 2018, eqs. 4 and 5, without the optical flow: pixels that move are left out (m ≈ 0)
+    instead of followed.
+    """
+    still = torch.exp(-sharpness * (source.diff(dim=1) / 2).square().sum(2, keepdim=True))
+    return (still * translated.diff(dim=1) / 2).abs().mean()
+
+
 def gail_reward(logits: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
     """-log D(x) with D = sigmoid(logit) = 1 for the agent (GAIfO, Torabi et al. 2018, alg. 1)."""
     return nnf.softplus(-logits)

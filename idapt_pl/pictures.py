@@ -39,14 +39,19 @@ def gif(frames: np.ndarray, fps: float = 25.0) -> bytes:
     return buffer.getvalue()
 
 
+def gif_summary(tag: str, data: bytes) -> Summary:
+    """An animated GIF as TensorBoard keeps it."""
+    height, width = iio.improps(data, extension=".gif").shape[-3:-1]
+    image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=data)
+    return Summary(value=[Summary.Value(tag=tag, image=image)])
+
+
 def log_video(folder: Path, tag: str, frames: np.ndarray, step: int) -> None:
     """Add a video to the run's TensorBoard page and keep it as ``<tag>.gif`` in ``folder``."""
     data = gif(frames)
     write_atomically(folder / f"{tag}.gif", lambda path: path.write_bytes(data))
-    _, height, width, _ = frames.shape
-    image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=data)
     with SummaryWriter(folder.parent / "summary") as writer:
-        writer._get_file_writer().add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
+        writer._get_file_writer().add_summary(gif_summary(tag, data), step)
 
 
 def log_scalars(folder: Path, values: dict[str, float], step: int) -> None:

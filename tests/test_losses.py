@@ -7,10 +7,12 @@ from torch.distributions.transforms import TanhTransform
 
 from idapt_pl.evaluation import energy_distance
 from idapt_pl.losses import (
+    flicker,
     gail_reward,
     generalized_advantage,
     gradient_penalty,
     lsgan,
+    patch_nce,
     ppo_clip,
     sac_target,
     smoothed_bce,
@@ -24,6 +26,27 @@ def no(t, n=1):
 
 def column(*values):
     return torch.tensor(values)[:, None]
+
+
+def test_patch_nce_by_hand_and_only_queries_learn():
+    key = torch.eye(3)[None].requires_grad_(True)
+    same, other = key.detach().clone().requires_grad_(True), key.detach().roll(1, 1)
+    right, wrong = patch_nce(same, key, 0.5), patch_nce(other, key, 0.5)
+    e = torch.tensor(2.0).exp()
+    torch.testing.assert_close(right, -torch.log(e / (e + 2)))
+    torch.testing.assert_close(wrong, -torch.log(1 / (e + 2)))
+    right.backward()
+    assert key.grad is None and same.grad.abs().sum() > 0
+
+
+def test_flicker_counts_what_stands_still_and_leaves_out_what_moves():
+    source = torch.zeros(1, 2, 3, 2, 2)
+    source[0, 1, :, 0, 0] = 1.0  # one pixel of four moves
+    translated = torch.zeros_like(source)
+    translated[0, 1] = 0.5  # all change by a quarter of the range
+    m = torch.tensor(-50 * 3 * 0.25).exp()
+    torch.testing.assert_close(flicker(translated, source), 0.25 * (3 + m) / 4)
+    assert flicker(source * 0, source) == 0
 
 
 def test_gae_with_lambda_one_is_discounted_return_minus_value():

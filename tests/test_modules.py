@@ -1,5 +1,7 @@
 """The LightningModules learn, on tiny fixed data, in seconds."""
 
+import copy
+
 import lightning as L
 import numpy as np
 import pytest
@@ -175,6 +177,77 @@ def test_state_loss_by_hand_uses_the_whole_translated_stack(fitted_P_S):
 def test_image_size_that_the_generator_cannot_keep_is_refused():
     with pytest.raises(ValueError, match=r"divisible by 4.*got 30"):
         VisualTransformation(2, image_size=30)
+
+
+def test_contrastive_loss_alone_trains_one_side(trainer):
+    module, fit = visual(state_dim=0, cycle_weight=0.0, identity_weight=0.0, contrastive_weight=1.0), trainer(60)
+    assert module.G_back is None and module.D_S is None
+    pixels, _ = dots(16, (255, 0, 0), (0, 0, 0))
+    fit.fit(module, datamodule=Fixed(paired_looks(pixels, torch.zeros(16, 0))))
+    assert set(fit.history[0]) == {"visual/g_target", "visual/contrastive", "visual/d_target", "step"}
+    assert mean(fit.history, "visual/contrastive", slice(-5, None)) < 0.7 * mean(
+        fit.history, "visual/contrastive", slice(0, 3)
+    )
+    with pytest.raises(ValueError, match="one-sided"):
+        module.translate_stacks(pixels, back=True)
+
+
+def test_consistency_looks_at_all_frames_and_costs_nothing_where_g_changes_nothing(fitted_P_S):
+    module = visual(state_dim=0, consistency_weight=2.0)
+    pixels = dots(4, (200, 30, 70), (10, 20, 30))[0]
+    pixels[:, 1] = dots(4, (200, 30, 70), (10, 20, 30), 5)[0][:, 1]  # squares that jump
+    S = to_float(pixels[:, -1])
+    noisy = module.generator_losses(S, S, {"pixels": pixels})[2]["consistency"]
+    assert noisy > 0
+    still = pixels[:, :1].expand(-1, 2, -1, -1, -1)
+    assert module.generator_losses(to_float(still[:, -1]), S, {"pixels": still})[2]["consistency"] == 0
+    with pytest.raises(ValueError, match="frame_stack is 1"):
+        VisualTransformation(0, 32, frame_stack=1, consistency_weight=1.0)
+
+
+def test_averaged_g_follows_g_and_is_the_one_that_translates(trainer, fitted_P_S):
+    P_S, pixels, state, _ = fitted_P_S
+    module = visual(ema_decay=0.999)
+    module.adopt(P_S.P_S)
+    first = copy.deepcopy(module.G.state_dict())
+    trainer(5).fit(module, datamodule=Fixed(paired_looks(pixels, state)))
+    name = "body.0.1.weight"
+    moved = (module.G.state_dict()[name] - first[name]).norm()
+    behind = (module.G.state_dict()[name] - module.translator.state_dict()[name]).norm()
+    assert 0 < behind < moved
+    assert not np.array_equal(
+        module.translate(pixels[:, :1].numpy()), visual_with(module.G).translate(pixels[:, :1].numpy())
+    )
+
+
+def visual_with(G):
+    module = visual(state_dim=0)
+    module.G = G
+    return module
+
+
+def test_options_that_are_off_leave_the_checkpoint_as_it_was():
+    parts = {k.split(".")[0] for k in visual().state_dict()}
+    assert parts == {"G", "G_back", "D_T", "D_S", "P_T"}
+
+
+def test_a_stages_checkpoint_is_enough_to_make_the_module_again(tmp_path):
+    rates = {"rates": {1: 0}, "dt": 0.04}
+    settings = {**SMALL, "vision": Vision(strides=(2, 2, 1, 1), pool="keypoints", rates="differences")}
+    module = VisualTransformation(2, **settings, **rates, width=4, blocks=1, discriminator_width=4)
+    state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
+    torch.save(state, tmp_path / "final.ckpt")
+    again = VisualTransformation.from_checkpoint(tmp_path / "final.ckpt")
+    assert again.P_T.rates == {1: 0} and again.P_T.dt == 0.04
+    assert all(torch.equal(v, again.state_dict()[k]) for k, v in module.state_dict().items())
+
+
+def test_whole_stacks_are_translated_frame_by_frame_as_single_frames_are():
+    module = visual(state_dim=0)
+    pixels = dots(3, (200, 30, 70), (10, 20, 30))[0]
+    whole = module.translate_stacks(pixels).detach()
+    frames = module.translate(pixels.flatten(0, 1)[:, None].numpy())
+    assert np.abs(whole.flatten(0, 1).numpy().astype(int) - frames[:, 0]).max() <= 1
 
 
 def test_image_pool_returns_past_images_about_half_of_the_time():

@@ -11,19 +11,19 @@ class ImagePool:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._images: list[Tensor] = []
+        self.images: list[Tensor] = []
 
     def __call__(self, images: Tensor) -> Tensor:
         """Swap in past images with probability 1/2. Shape (B, C, H, W) in and out."""
         out = []
         for image in images.detach() if self.size else ():
-            if len(self._images) < self.size:
-                self._images.append(image)
+            if len(self.images) < self.size:
+                self.images.append(image)
                 out.append(image)
             elif torch.rand(()) < 0.5:
                 i = int(torch.randint(self.size, ()))
-                out.append(self._images[i])
-                self._images[i] = image
+                out.append(self.images[i])
+                self.images[i] = image
             else:
                 out.append(image)
         return torch.stack(out) if out else images.detach()

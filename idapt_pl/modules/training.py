@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
+
 import lightning as L
 import torch
 from torch import Tensor
@@ -36,11 +38,11 @@ class ManualModule(L.LightningModule):
     def log_at(self, step: float, metrics: dict[str, Tensor | float]) -> None:
         """Log scalars with ``step`` as the x axis."""
         self.log_dict(
-            {k: float(v.detach() if isinstance(v, Tensor) else v) for k, v in metrics.items()}, prog_bar=False
+            {k: v.detach() if isinstance(v, Tensor) else float(v) for k, v in metrics.items()}, prog_bar=False
         )
         self.log("step", float(step), prog_bar=False)
 
 
-def fast_precision(device: torch.device, enabled: bool) -> torch.autocast:
-    """bfloat16 autocast for convolutions; the nets return float32."""
-    return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
+def fast_precision(device: torch.device, enabled: bool) -> AbstractContextManager:
+    """bfloat16 autocast for convolutions; the nets return float32. Otherwise the Trainer's precision stands."""
+    return torch.autocast(device.type, torch.bfloat16) if enabled else nullcontext()

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import copy
+import pickle
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
+from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
 from torchvision.utils import make_grid
 
-from idapt_pl.losses import GAN_LOSSES
+from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.training import ManualModule, fast_precision
+from idapt_pl.nets.contrastive import PatchProjector
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import jitter, stack_channels, to_float, to_pixels
+from idapt_pl.nets.images import height_width, jitter, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
+
+SMALLEST = 24
+"""Side of the smallest images from which a PatchGAN has more than one place left to normalise over, pixels."""
 
 
 class VisualTransformation(ManualModule):
@@ -24,9 +35,12 @@ class VisualTransformation(ManualModule):
     L = L_CycleGAN(o^S, o^T) + λ |P^T(G(o^S)) - s|₁. P^T starts as a copy of P^S and only its first
     convolutions are trained, together with the generators.
 
+    With ``contrastive_weight`` and no ``cycle_weight`` it is one-sided (CUT, Park et al. 2020): there is no way back
+    and no source discriminator, and patches of a translated image must be closest to those they were made of.
+
     Args:
         state_dim: size of the state vector; 0 trains a plain CycleGAN without state reconstruction.
-        image_size: side of the images, pixels; taken from the data.
+        image_size: side of the images, or height and width, pixels; taken from the data.
         frame_stack: K frames in an observation.
         translate: what G sees at a time, one ``frame`` (3 channels) or the whole ``stack`` (3K channels).
         width: channels of the generators' first layer (ngf).
@@ -42,6 +56,9 @@ class VisualTransformation(ManualModule):
         reset_weight: of |G(o^S) - o^T| between first observations of episodes. Where both domains are reset alike,
             those show the same state up to the reset noise, and say where G has to place things, which unpaired
             images of domains that move differently leave open. 0 leaves it out (the paper).
+        contrastive_weight: of the patches' contrastive loss; 0 leaves it out.
+        consistency_weight: of flicker of what stands still, between the frames of a stack; 0 leaves it out.
+        ema_decay: G is used as the exponential moving average of its weights, for example 0.999; 0 uses it as it is.
         finetune_convs: how many first convolutions of P^T are trained (1 in the paper, 2 in the code).
         lr_generator: Adam, generators and P^T.
         lr_discriminator: Adam, discriminators.
@@ -50,13 +67,15 @@ class VisualTransformation(ManualModule):
         rates: state component to the component it is the rate of; taken from the task.
         dt: control period, s; taken from the task.
         bf16: bfloat16 autocast.
+        channels_last: keep the networks' weights with channels last, which convolutions on GPUs prefer.
+        compile_nets: compile the networks with torch.compile (the first batches then take a minute or more).
         images_every: batches between image grids in TensorBoard.
     """
 
     def __init__(
         self,
         state_dim: int,
-        image_size: int,
+        image_size: int | Sequence[int],
         frame_stack: int = 3,
         vision: Vision = Vision(),
         rates: dict[int, int] | None = None,
@@ -72,31 +91,83 @@ class VisualTransformation(ManualModule):
         state_weight: float = 5.0,
         state_jitter: float = 0.0,
         reset_weight: float = 0.0,
+        contrastive_weight: float = 0.0,
+        consistency_weight: float = 0.0,
+        ema_decay: float = 0.0,
         finetune_convs: int = 1,
         lr_generator: float = 2e-4,
         lr_discriminator: float = 2e-4,
         betas: tuple[float, float] = (0.5, 0.999),
         bf16: bool = True,
+        channels_last: bool = False,
+        compile_nets: bool = False,
         images_every: int = 200,
     ) -> None:
         super().__init__()
         self.save_hyperparameters(ignore=["vision", "rates"])
-        if image_size % 4:
+        self.save_hyperparameters({"vision": asdict(vision), "rates": dict(rates or {})})
+        if any(side % 4 for side in height_width(image_size)):
             raise ValueError(f"image_size must be divisible by 4 for the ResNet generator, got {image_size}")
+        if min(height_width(image_size)) < SMALLEST:
+            raise ValueError(
+                f"images must have at least {SMALLEST} pixels a side for the discriminators, got {image_size}"
+            )
+        if consistency_weight and frame_stack < 2:
+            raise ValueError("consistency_weight compares the frames of a stack, and frame_stack is 1: leave it at 0")
         channels = 3 if translate == "frame" else 3 * frame_stack
+        self.one_sided = contrastive_weight > 0 and cycle_weight == 0
         self.G = ResnetGenerator(channels, width, blocks)  # source to target
-        self.G_back = ResnetGenerator(channels, width, blocks)  # target to source
+        self.G_back = None if self.one_sided else ResnetGenerator(channels, width, blocks)  # target to source
         self.D_T = PatchDiscriminator(channels, discriminator_width)
-        self.D_S = PatchDiscriminator(channels, discriminator_width)
+        self.D_S = None if self.one_sided else PatchDiscriminator(channels, discriminator_width)
         self.P_T = None
         if state_dim:
             self.P_T = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
         self.pools = {"source": ImagePool(pool_size), "target": ImagePool(pool_size)}
+        self.nce_layers = sorted({0, 1, 2, 3, 3 + blocks // 2})  # convolutions, first and middle residual block
+        self.H = PatchProjector([width * min(2**i, 4) for i in self.nce_layers]) if contrastive_weight else None
+        self.G_average = None
+        if ema_decay:
+            self.G_average = AveragedModel(self.G, multi_avg_fn=partial(warmed_up_average, ema_decay))
+            self.G_average.requires_grad_(False)
+        self.prepare_nets(channels_last, compile_nets)
+
+    @classmethod
+    def from_checkpoint(cls, path: Path) -> VisualTransformation:
+        """The trained module of a checkpoint, ready for use (weights only, nothing is unpickled).
+
+        Raises:
+            ValueError: if there is no such file, or it is no checkpoint of a visual transformation.
+        """
+        if not path.is_file():
+            raise ValueError(f"{path}: no such checkpoint; train one first: idapt visual fit")
+        try:
+            saved = torch.load(path, weights_only=True, map_location="cpu")
+            settings = dict(saved["hyper_parameters"])
+            module = cls(**settings | {"vision": Vision(**settings["vision"])})
+            module.load_state_dict(saved["state_dict"])
+        except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ValueError(f"{path}: not a checkpoint of a visual transformation ({reason})") from None
+        return module.eval()
 
     @property
     def frames(self) -> int:
         """How many frames G translates at a time."""
         return 1 if self.hparams.translate == "frame" else self.hparams.frame_stack
+
+    @property
+    def translator(self) -> ResnetGenerator:
+        """G as it is used after training: the average of its weights, if there is one."""
+        return self.G if self.G_average is None else self.G_average.module
+
+    def prepare_nets(self, channels_last: bool, compile_nets: bool) -> None:
+        """Memory layout and compilation, which change speed and nothing else."""
+        for net in filter(None, (self.G, self.G_back, self.D_T, self.D_S)):
+            if channels_last:
+                net.to(memory_format=torch.channels_last)
+            if compile_nets:
+                net.compile(dynamic=False)
 
     def adopt(self, P_S: PixelStatePredictor) -> None:
         """Copy P^S into P^T and leave only the first ``finetune_convs`` convolutions trainable."""
@@ -109,8 +180,35 @@ class VisualTransformation(ManualModule):
         """G on frames as an environment gives them: uint8 (n, k, H, W, 3) to the same, k = :attr:`frames`."""
         n, k, h, w, _ = pixels.shape
         with fast_precision(self.device, self.hparams.bf16):
-            fake = self.G(stack_channels(torch.from_numpy(pixels).to(self.device)))
+            fake = self.translator(stack_channels(torch.from_numpy(pixels).to(self.device)))
         return to_pixels(fake.unflatten(1, (k, 3))).cpu().numpy().reshape(n, k, h, w, 3)
+
+    def translate_stacks(self, pixels: Tensor, back: bool = False) -> Tensor:
+        """Whole stacks, uint8 (B, K, H, W, 3) to the same; ``back`` takes target images to the source's look."""
+        if back and self.G_back is None:
+            raise ValueError("this model is one-sided (contrastive): it translates source images to the target only")
+        k = pixels.shape[1]
+        net = self.G_back if back else self.translator
+        groups = pixels.unflatten(1, (k // self.frames, self.frames)).flatten(0, 1)
+        with fast_precision(self.device, self.hparams.bf16):
+            fake = net(stack_channels(groups))
+        return to_pixels(fake.unflatten(1, (self.frames, 3))).reshape(pixels.shape)
+
+    def validation_step(self, batch: dict, index: int) -> dict[str, Tensor]:
+        """Translated stacks of the domains in the batch, for the callbacks that measure and show them."""
+        found = {}
+        if batch.get("source") is not None:
+            found["source"] = self.translate_stacks(batch["source"]["pixels"])
+        if batch.get("target") is not None and self.G_back is not None:
+            found["target"] = self.translate_stacks(batch["target"]["pixels"], back=True)
+        return found
+
+    test_step = validation_step
+
+    def predict_step(self, batch: dict, index: int) -> Tensor:
+        """Translated stacks of the one domain in the batch."""
+        (domain,) = batch
+        return self.translate_stacks(batch[domain]["pixels"], back=domain == "target")
 
     def training_step(self, batch: dict, index: int) -> None:
         opt_g, opt_d = self.optimizers()
@@ -118,17 +216,19 @@ class VisualTransformation(ManualModule):
         with self.toggled_optimizer(opt_g), fast_precision(self.device, self.hparams.bf16):
             fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"], self.resets(batch))
             self.descend(opt_g, sum(parts.values()))
+        if self.G_average is not None:
+            self.G_average.update_parameters(self.G)
         with self.toggled_optimizer(opt_d), fast_precision(self.device, self.hparams.bf16):
-            d_T = self.discriminator_loss(self.D_T, real_T, self.pools["target"](fake_T))
-            d_S = self.discriminator_loss(self.D_S, real_S, self.pools["source"](fake_S))
-            self.descend(opt_d, d_T + d_S)
+            losses_d = {"d_target": self.discriminator_loss(self.D_T, real_T, self.pools["target"](fake_T))}
+            if self.D_S is not None:
+                losses_d["d_source"] = self.discriminator_loss(self.D_S, real_S, self.pools["source"](fake_S))
+            self.descend(opt_d, sum(losses_d.values()))
         for schedule in self.lr_schedulers():
             schedule.step()
-        self.log_at(
-            index, {**{f"visual/{k}": v for k, v in parts.items()}, "visual/d_target": d_T, "visual/d_source": d_S}
-        )
-        if index % self.hparams.images_every == 0:
-            self.log_grid(batch, index)
+        step = self.trainer.current_epoch * self.trainer.num_training_batches + index
+        self.log_at(step, {f"visual/{k}": v for k, v in (parts | losses_d).items()})
+        if step % self.hparams.images_every == 0:
+            self.log_grid(batch, step)
 
     def adversarial_input(self, batch: dict[str, Tensor]) -> Tensor:
         """What the GAN losses see: the newest frame of each stack, or the whole stack as channels."""
@@ -138,6 +238,10 @@ class VisualTransformation(ManualModule):
         """First observations of episodes, source and target: pairs up to the reset noise."""
         if not self.hparams.reset_weight:
             return None, None
+        if "source_resets" not in batch:
+            raise ValueError(
+                "reset_weight needs first observations of episodes, which these data do not have: set it to 0"
+            )
         return self.adversarial_input(batch["source_resets"]), self.adversarial_input(batch["target_resets"])
 
     def generator_losses(
@@ -146,8 +250,8 @@ class VisualTransformation(ManualModule):
         real_T: Tensor,
         source: dict[str, Tensor],
         resets: tuple[Tensor | None, Tensor | None] = (None, None),
-    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Weighted generator losses of equation (2), and the fakes for the discriminators.
+    ) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
+        """Weighted generator losses of equation (2), and the fakes for the discriminators (one-sided: no first).
 
         Args:
             real_S: source images, (B, C, H, W), -1..1.
@@ -161,29 +265,64 @@ class VisualTransformation(ManualModule):
         older = self.older_frames(source)
         same_S, same_T = (real_S, real_T) if w.identity_weight else (None, None)
         to_T = through(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
-        to_S = through(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
-        fake_T, fake_S = to_T["S"], to_S["T"]
-        parts = {"g_target": gan(self.D_T(fake_T), True), "g_source": gan(self.D_S(fake_S), True)}
-        parts["cycle"] = w.cycle_weight * (
-            (self.G_back(fake_T) - real_S).abs().mean() + (self.G(fake_S) - real_T).abs().mean()
-        )
-        if w.identity_weight:
-            parts["identity"] = w.identity_weight * (
-                (to_T["T"] - real_T).abs().mean() + (to_S["S"] - real_S).abs().mean()
-            )
-        if w.reset_weight:
-            parts["reset"] = w.reset_weight * (
-                (to_T["reset"] - resets[1]).abs().mean() + (to_S["reset"] - resets[0]).abs().mean()
-            )
+        to_S: dict[str, Tensor | None] = {}
+        if not self.one_sided:
+            to_S = through(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
+        fake_T, fake_S = to_T["S"], to_S.get("T")
+        parts = {"g_target": gan(self.D_T(fake_T), True)}
+        if fake_S is not None:
+            parts["g_source"] = gan(self.D_S(fake_S), True)
+        parts |= self.image_losses(to_T, to_S, real_S, real_T, resets)
+        if w.contrastive_weight:
+            parts["contrastive"] = w.contrastive_weight * self.contrast(fake_T, real_S)
+        return fake_S, fake_T, parts | self.stack_losses(self.whole_stack(fake_T, to_T["older"]), source)
+
+    def image_losses(
+        self, to_T: dict, to_S: dict, real_S: Tensor, real_T: Tensor, resets: tuple[Tensor | None, Tensor | None]
+    ) -> dict[str, Tensor]:
+        """Weighted L1 losses between images: cycles, images that should stay as they are, first observations.
+
+        Args:
+            to_T: what G made of source images ``S``, target images ``T`` and first observations ``reset``, or None.
+            to_S: what G_back made of target images ``T``, source images ``S`` and ``reset``; empty if one-sided.
+            real_S: source images.
+            real_T: target images.
+            resets: first observations, source and target.
+        """
+        pairs = {"cycle": [], "identity": [(to_T["T"], real_T)], "reset": [(to_T["reset"], resets[1])]}
+        if to_S:
+            pairs["cycle"] += [(self.G_back(to_T["S"]), real_S), (self.G(to_S["T"]), real_T)]
+            pairs["identity"] += [(to_S["S"], real_S)]
+            pairs["reset"] += [(to_S["reset"], resets[0])]
+        return {
+            name: self.hparams[f"{name}_weight"] * sum((made - real).abs().mean() for made, real in images)
+            for name, images in pairs.items()
+            if images and images[0][0] is not None
+        }
+
+    def stack_losses(self, translated: Tensor, source: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Weighted losses on whole translated stacks (B, 3K, H, W): state reconstruction, flicker."""
+        w, parts = self.hparams, {}
         if self.P_T is not None and w.state_weight:
-            translated = self.whole_stack(fake_T, to_T["older"])
             parts["state"] = w.state_weight * self.P_T.error(jitter(translated, w.state_jitter), source["state"])
-        return fake_S, fake_T, parts
+        if w.consistency_weight:
+            frames = [x.unflatten(1, (-1, 3)) for x in (translated, stack_channels(source["pixels"]))]
+            parts["consistency"] = w.consistency_weight * flicker(*frames)
+        return parts
+
+    def contrast(self, fake_T: Tensor, real_S: Tensor) -> Tensor:
+        """Mean contrastive loss of patches over the layers that :attr:`H` looks at (CUT, eq. 4)."""
+        queries, keys = (self.G.features(x, self.nce_layers) for x in (fake_T, real_S))
+        pairs = self.H(queries, keys)
+        return sum(patch_nce(query, key) for query, key in pairs) / len(pairs)
 
     def older_frames(self, source: dict[str, Tensor]) -> Tensor | None:
-        """The frames that only state reconstruction needs: the older ones, if P^T looks at a stack and G at a frame."""
-        needs = self.frames == 1 and self.P_T is not None and not self.P_T.rates and self.hparams.state_weight
-        return to_float(source["pixels"][:, :-1]).flatten(0, 1) if needs else None
+        """The frames that only losses on whole stacks need: the older ones, if G sees one frame at a time."""
+        w = self.hparams
+        for_state = self.P_T is not None and not self.P_T.rates and w.state_weight
+        if self.frames > 1 or not (for_state or w.consistency_weight):
+            return None
+        return to_float(source["pixels"][:, :-1]).flatten(0, 1)
 
     def whole_stack(self, newest: Tensor, older: Tensor | None) -> Tensor:
         """Translated stack (B, 3K, H, W) from its newest frame and the older ones."""
@@ -200,22 +339,31 @@ class VisualTransformation(ManualModule):
     @torch.no_grad()
     def log_grid(self, batch: dict, index: int) -> None:
         """A TensorBoard image with the rows source, G(source), cycle, target, G_back(target)."""
-        if self.logger is None:
+        if not isinstance(self.logger, TensorBoardLogger):
             return
         S, T = (self.adversarial_input(batch[d])[:4] for d in ("source", "target"))
         with fast_precision(self.device, self.hparams.bf16):
             fake = self.G(S)
-            rows = torch.cat([S, fake, self.G_back(fake), T, self.G_back(T)])
-        grid = make_grid(rows[:, -3:].float().cpu() / 2 + 0.5, nrow=len(S))
-        self.logger.experiment.add_image("visual/source_translated_cycled_target_back", grid, index)
+            rows = [S, fake, T] if self.one_sided else [S, fake, self.G_back(fake), T, self.G_back(T)]
+        grid = make_grid(torch.cat(rows)[:, -3:].float().cpu() / 2 + 0.5, nrow=len(S))
+        name = "source_translated_target" if self.one_sided else "source_translated_cycled_target_back"
+        self.logger.experiment.add_image(f"visual/{name}", grid, index)
+
+    def on_save_checkpoint(self, checkpoint: dict) -> None:
+        """Past fakes are part of a run that goes on."""
+        checkpoint["pools"] = {name: pool.images for name, pool in self.pools.items()}
+
+    def on_load_checkpoint(self, checkpoint: dict) -> None:
+        for name, images in checkpoint.get("pools", {}).items():
+            self.pools[name].images = [image.to(self.device) for image in images]
 
     def configure_optimizers(self) -> tuple[list, list]:
         w = self.hparams
-        trainable = [*self.G.parameters(), *self.G_back.parameters()]
-        if self.P_T is not None:
-            trainable += [p for p in self.P_T.parameters() if p.requires_grad]
+        trainable = []
+        for net in filter(None, (self.G, self.G_back, self.P_T, self.H)):
+            trainable += [p for p in net.parameters() if p.requires_grad]
         opt_g = torch.optim.Adam(trainable, lr=w.lr_generator, betas=tuple(w.betas), fused=True)
-        discriminators = [*self.D_T.parameters(), *self.D_S.parameters()]
+        discriminators = [p for D in filter(None, (self.D_T, self.D_S)) for p in D.parameters()]
         opt_d = torch.optim.Adam(discriminators, lr=w.lr_discriminator, betas=tuple(w.betas), fused=True)
 
         def constant_then_linear(step: int) -> float:  # CycleGAN: the second half decays to zero
@@ -229,3 +377,11 @@ def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, 
     given = {name: images for name, images in parts.items() if images is not None}
     out = net(torch.cat(list(given.values()))).split([len(images) for images in given.values()])
     return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
+
+
+@torch.no_grad()
+def warmed_up_average(decay: float, averages: list[Tensor], currents: list[Tensor], updates: Tensor) -> None:
+    """A step of the exponential moving average, quick at first so that the initial weights are forgotten."""
+    share = 1 - min(decay, float((1 + updates) / (10 + updates)))
+    for average, current in zip(averages, currents, strict=True):
+        average.lerp_(current, share)

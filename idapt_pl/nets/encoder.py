@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from idapt_pl.nets.images import center_crop, random_crop, stack_channels
+from idapt_pl.nets.images import center_crop, height_width, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
 
 Pool = Literal["flatten", "keypoints"]
@@ -47,9 +47,10 @@ class PixelEncoder(nn.Module):
     """f: a frame stack to a feature vector. 4 convolutions (32 channels, 3x3), linear, LayerNorm, tanh.
 
     Args:
-        image_size: pixels; images are cropped to ``crop`` (at random when training, else the middle).
+        image_size: side, or height and width, pixels; images are cropped to ``crop`` (at random when training, else
+            the middle).
         frame_stack: K frames of 3 channels.
-        crop: side of the crop, pixels.
+        crop: side of the crop, pixels; None takes the whole image.
         strides: of the convolutions.
         channels: of the convolutions.
         features: size of f(o).
@@ -59,7 +60,7 @@ class PixelEncoder(nn.Module):
 
     def __init__(
         self,
-        image_size: int,
+        image_size: int | Sequence[int],
         frame_stack: int = 3,
         crop: int | None = None,
         strides: Sequence[int] = (2, 1, 1, 1),
@@ -69,16 +70,16 @@ class PixelEncoder(nn.Module):
     ) -> None:
         super().__init__()
         self.crop = crop or image_size
-        if self.crop > image_size:
+        height, width = height_width(self.crop)
+        if height > height_width(image_size)[0] or width > height_width(image_size)[1]:
             raise ValueError(f"crop ({self.crop}) is larger than the image ({image_size} pixels)")
         ins = [3 * frame_stack] + [channels] * (len(strides) - 1)
         self.convs = nn.ModuleList(nn.Conv2d(i, channels, 3, stride=s) for i, s in zip(ins, strides, strict=True))
-        side = self.crop
         for stride in strides:
-            side = (side - 3) // stride + 1
+            height, width = (height - 3) // stride + 1, (width - 3) // stride + 1
         self.pool = {"flatten": nn.Flatten, "keypoints": Keypoints}[pool]()
-        width = channels * side * side if pool == "flatten" else 2 * channels
-        self.head = nn.Sequential(nn.Linear(width, features), nn.LayerNorm(features), nn.Tanh())
+        pooled = channels * height * width if pool == "flatten" else 2 * channels
+        self.head = nn.Sequential(nn.Linear(pooled, features), nn.LayerNorm(features), nn.Tanh())
         self.features = features
         self.apply(orthogonal_init)
 
@@ -195,12 +196,12 @@ class Vision:
     pool: Pool = "flatten"
     rates: Literal["learned", "differences"] = "learned"
 
-    def encoder(self, image_size: int, frame_stack: int) -> PixelEncoder:
+    def encoder(self, image_size: int | Sequence[int], frame_stack: int) -> PixelEncoder:
         """A new encoder."""
         return PixelEncoder(image_size, frame_stack, self.crop, self.strides, pool=self.pool)
 
     def predictor(
-        self, image_size: int, frame_stack: int, state_dim: int, rates: dict[int, int], dt: float
+        self, image_size: int | Sequence[int], frame_stack: int, state_dim: int, rates: dict[int, int], dt: float
     ) -> PixelStatePredictor:
         """A new state predictor."""
         if self.rates == "learned" or not rates:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
@@ -22,10 +24,16 @@ def stack_channels(pixels: UInt8[Tensor, "b k h w 3"]) -> Float[Tensor, "b c h w
     return to_float(pixels).flatten(1, 2)
 
 
-def center_crop(images: Shaped[Tensor, "*b h w"], size: int) -> Shaped[Tensor, "*b size size"]:
-    """The middle ``size`` x ``size`` pixels of the last two dimensions."""
-    top, left = (images.shape[-2] - size) // 2, (images.shape[-1] - size) // 2
-    return images[..., top : top + size, left : left + size]
+def height_width(size: int | Sequence[int]) -> tuple[int, int]:
+    """Height and width, pixels, of a size given as a side or as both."""
+    return (size, size) if isinstance(size, int) else (int(size[0]), int(size[1]))
+
+
+def center_crop(images: Shaped[Tensor, "*b h w"], size: int | Sequence[int]) -> Shaped[Tensor, "*b height width"]:
+    """The middle ``size`` pixels (a side, or height and width) of the last two dimensions."""
+    height, width = height_width(size)
+    top, left = (images.shape[-2] - height) // 2, (images.shape[-1] - width) // 2
+    return images[..., top : top + height, left : left + width]
 
 
 def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int) -> UInt8[Tensor, "b k size size 3"]:

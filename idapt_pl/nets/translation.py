@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -75,6 +77,15 @@ class ResnetGenerator(nn.Module):
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
         """Translate images, -1..1."""
         return torch.tanh(self.body(x).float())
+
+    def features(self, x: Float[Tensor, "b c h w"], layers: Sequence[int]) -> list[Tensor]:
+        """Activations after some of the layers, counted from the first convolution (0)."""
+        found = []
+        for i, layer in enumerate(self.body[: max(layers) + 1]):
+            x = layer(x)
+            if i in layers:
+                found.append(x)
+        return found
 
 
 class PatchDiscriminator(nn.Module):

@@ -1,0 +1,187 @@
+"""``idapt visual``: the visual transformation on its own, between any two sets of images; see docs/visual.md."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+
+from cli import visual_export
+from cli.provenance import write_provenance
+from cli.visual_quality import TranslationQuality
+from cli.visual_writer import TranslationWriter
+from datamodules.images import ImageDomains
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.nets.encoder import Vision
+from idapt_pl.probes import fit_state_predictor
+
+log = logging.getLogger(__name__)
+
+DESCRIPTION = f"{__doc__} `idapt visual export --help`: G as one file for deployment."
+DIMENSIONS = {"state_dim", "image_size", "frame_stack", "rates", "dt", "vision", "bf16"}
+"""Constructor arguments that data, checkpoint or Trainer determine (precision is the Trainer's)."""
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """How P^S is fitted before G, where source images have labels.
+
+    Args:
+        batches: gradient steps.
+        batch_size: labelled images (stacks) in each.
+        lr: Adam's first learning rate; it is annealed to zero.
+    """
+
+    batches: int = 2000
+    batch_size: int = 32
+    lr: float = 1e-3
+
+
+class SeedEpochs(L.Callback):
+    """Seeds every epoch on its own, so that a run that was interrupted goes on as if it had not been."""
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        torch.manual_seed((self.seed * 1_000_003 + trainer.current_epoch) * 1009 + trainer.global_rank)
+
+
+class VisualCLI(LightningCLI):
+    """A LightningCLI on VisualTransformation and ImageDomains.
+
+    The data determine what a new model looks like; after ``fit``, the checkpoint does.
+    """
+
+    def __init__(self, args: list[str]) -> None:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "LightningCLI's args parameter")  # DDP starts its processes from sys.argv
+            super().__init__(
+                VisualTransformation,
+                ImageDomains,
+                args=args,
+                save_config_callback=None,
+                auto_configure_optimizers=False,
+                seed_everything_default=0,
+                trainer_defaults={
+                    "precision": "bf16-mixed",
+                    "max_epochs": 200,
+                    "log_every_n_steps": 10,
+                    "enable_model_summary": False,
+                    "num_sanity_val_steps": 0,
+                },
+                parser_kwargs={"prog": "idapt visual", "description": DESCRIPTION, "exit_on_error": False},
+            )
+
+    def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.add_argument("--run_dir", type=str, default="runs/visual", help="folder for checkpoint, config and logs")
+        parser.add_class_arguments(VisualTransformation, "model", skip=DIMENSIONS, instantiate=False)
+        parser.add_class_arguments(Vision, "vision")
+        parser.add_class_arguments(Labelled, "labelled")
+        parser.add_lightning_class_args(ImageDomains, "data")
+        parser.add_lightning_class_args(TranslationQuality, "quality")
+        parser.add_lightning_class_args(TranslationWriter, "predictions")
+        parser.add_lightning_class_args(L.Trainer, "trainer")
+        parser.set_defaults({f"trainer.{k}": v for k, v in self.trainer_defaults.items()})
+
+    def _parse_ckpt_path(self) -> None:
+        """Nothing here: :meth:`instantiate_classes` makes the whole model from the checkpoint."""
+
+    def instantiate_classes(self) -> None:
+        self.config_init = self.parser.instantiate_classes(self.config)
+        self.options = self.config_init[self.subcommand]
+        self.run_dir = Path(self.options.run_dir)
+        self.datamodule = self.options.data
+        self.trainer = self.instantiate_trainer()
+        self.model = self.new_model() if self.subcommand == "fit" else self.trained_model()
+
+    def new_model(self) -> VisualTransformation:
+        """A model for the data; with labels, around a P^S that is fitted to them first."""
+        o, dimensions = self.options, self.datamodule.dimensions
+        model = VisualTransformation(**o.model.as_dict(), vision=o.vision, bf16=False, **dimensions)
+        self.resume()
+        if model.P_T is not None and not o.ckpt_path:
+            device = self.trainer.strategy.root_device
+            source = self.datamodule.load("source")
+            P_S = o.vision.predictor(
+                dimensions["image_size"], dimensions["frame_stack"], source.labels.shape[1], {}, 1.0
+            )
+            model.adopt(fit_state_predictor(P_S, source, **vars(o.labelled), device=device))
+        elif model.P_T is not None:
+            model.adopt(model.P_T)
+        return model
+
+    def resume(self) -> None:
+        """Note the config in the run folder, and go on from the folder's checkpoint if it has one.
+
+        Raises:
+            ValueError: if the folder holds a run with another config.
+        """
+        write_provenance(self._parser("fit"), self.config["fit"], self.run_dir)
+        last = self.run_dir / "last.ckpt"
+        if self.options.ckpt_path is None and last.exists():
+            self.options.ckpt_path = str(last)
+            log.info("going on from %s", last)
+        metrics = self.run_dir / "metrics.csv"
+        if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
+            metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")
+        self.options.weights_only = True
+
+    def trained_model(self) -> VisualTransformation:
+        """The model of a checkpoint, by default this run folder's."""
+        path = Path(self.options.ckpt_path or self.run_dir / "last.ckpt")
+        self.options.ckpt_path = None  # loaded here, not by the Trainer
+        return VisualTransformation.from_checkpoint(path)
+
+    def instantiate_trainer(self, **kwargs) -> L.Trainer:
+        """The Trainer of the config, logging to the run folder and keeping its last checkpoint."""
+        config = self.options.trainer
+        if config.logger in (None, True):
+            kinds = {"fit": (TensorBoardLogger, CSVLogger), "predict": ()}.get(self.subcommand, (TensorBoardLogger,))
+            kwargs["logger"] = [make(self.run_dir, name="", version="") for make in kinds]
+        if self.subcommand == "fit":
+            keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
+            kwargs["callbacks"] = [*(config.callbacks or []), SeedEpochs(int(self.options.seed_everything)), keep]
+        if config.strategy in ("auto", "ddp"):
+            kwargs["strategy"] = strategy(config.accelerator, config.devices, int(config.num_nodes))
+        kwargs["default_root_dir"] = str(self.run_dir)
+        kwargs["enable_progress_bar"] = sys.stderr.isatty() and config.enable_progress_bar is not False
+        return super().instantiate_trainer(**kwargs)
+
+    def fit(self, **arguments: Any) -> None:
+        """Train; Lightning leaves the program where a run is interrupted, without a word."""
+        try:
+            self.trainer.fit(**arguments)
+        except SystemExit:
+            if self.trainer.interrupted:
+                raise KeyboardInterrupt from None
+            raise
+        if self.trainer.is_global_zero:
+            log.info("%d epochs done -> %s", self.trainer.current_epoch, self.run_dir / "last.ckpt")
+
+
+def strategy(accelerator: str, devices: str | int | list[int], nodes: int) -> str:
+    """How to train on so many devices: G and D are trained in turn, and DDP must be told that some nets rest."""
+    if devices == "auto":
+        count = torch.cuda.device_count() if accelerator in ("auto", "gpu", "cuda") else 1
+    else:
+        count = len(devices) if isinstance(devices, list) else int(devices)
+        count = torch.cuda.device_count() if count == -1 else count
+    return "ddp_find_unused_parameters_true" if count * nodes > 1 else "auto"
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt visual fit|validate|test|predict|export``."""
+    if args[:1] == ["export"]:
+        return visual_export.main(args[1:])
+    VisualCLI(args)
+    return 0
