@@ -6,8 +6,10 @@ import logging
 
 import numpy as np
 
+from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.state import Found, Search, Tried
 from idapt_pl.diagnosis.statistics import effects_of, paired_gain, window_loss
+from idapt_pl.diagnosis.words import number
 from idapt_pl.domains.paths import ExternalForce, SensingEffect
 
 log = logging.getLogger(__name__)
@@ -55,6 +57,8 @@ def refine(search: Search, t: Tried, now: np.ndarray) -> None:
 def objection(search: Search, t: Tried, now: np.ndarray) -> str:
     """Why a refitted candidate is not accepted, or nothing."""
     s, level = search.settings, float(now.mean())
+    if beyond_its_kind(t.candidate, t.x[-1]):
+        return f"its estimate ran to the end of what sensors are off by ({number(t.x[-1][0])} {t.candidate.units()[0]})"
     if t.gain - s.sureness * t.gain_error <= 0:
         return f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
     if t.gain < s.relative_gain * level:
@@ -69,6 +73,11 @@ def objection(search: Search, t: Tried, now: np.ndarray) -> str:
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
         return "the typical window is at the noise floor already"
     return ""
+
+
+def beyond_its_kind(c: Candidate, x: np.ndarray) -> bool:
+    """Whether an error of a sensor would have to be larger than sensors have: then it stands in for something else."""
+    return c.span is not None and issubclass(c.kind, SensingEffect) and bool(np.isclose(c.span, x[:, None]).any())
 
 
 def accept(search: Search, confirmed: list[Tried]) -> Found | None:

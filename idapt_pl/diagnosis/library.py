@@ -15,6 +15,10 @@ from idapt_pl.domains import paths
 from idapt_pl.domains.effects import Effect
 
 JOINT = mujoco.mjtTrn.mjTRN_JOINT
+PERIODS = (2, 4, 6, 8, 12)
+"""Of cogging torques, in a revolution."""
+REPEATS = 1.5
+"""How many periods of a cogging torque the recordings must show: less than that is any torque that bends with angle."""
 SENSOR_GAIN = ((0.8, 1.25),)
 """Position sensors are off by per cents; a larger scale imitates inertia and gravity."""
 
@@ -82,6 +86,7 @@ class Surroundings:
         inertia: diagonal of the mass matrix, typical, (nv,).
         speed: rms of the velocities, (nv,).
         motion: spread of the positions of each scalar joint, (nv,).
+        range: from their least to their greatest, (nv,).
         command: rms of the commands, (nu,).
         horizon: how long predictions run, s.
     """
@@ -90,6 +95,7 @@ class Surroundings:
     inertia: np.ndarray
     speed: np.ndarray
     motion: np.ndarray
+    range: np.ndarray
     command: np.ndarray
     horizon: float
 
@@ -105,15 +111,16 @@ def surroundings(model: mujoco.MjModel, data: list[Recording], horizon: float) -
         inertia.append(np.diag(full))
     speed = np.sqrt(np.mean(np.concatenate([np.square(r.qvel) for r in data]), 0))
     positions = np.concatenate([r.qpos for r in data])
-    motion = np.ones(model.nv)
+    motion, widest = np.ones(model.nv), np.zeros(model.nv)
     for j in range(model.njnt):
         if model.jnt_type[j] >= 2:
-            motion[model.jnt_dofadr[j]] = positions[:, model.jnt_qposadr[j]].std()
+            of_joint = positions[:, model.jnt_qposadr[j]]
+            motion[model.jnt_dofadr[j]], widest[model.jnt_dofadr[j]] = of_joint.std(), np.ptp(of_joint)
     actions = np.concatenate([r.actions for r in data])
     command = np.sqrt(np.mean(np.square(actions), 0)) if model.nu else np.zeros(0)
     dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
     tiny = 1e-9
-    return Surroundings(dt, np.median(inertia, 0) + tiny, speed + tiny, motion + tiny, command + tiny, horizon)
+    return Surroundings(dt, np.median(inertia, 0) + tiny, speed + tiny, motion + tiny, widest, command + tiny, horizon)
 
 
 def library(spec: mujoco.MjSpec, around: Surroundings) -> list[Candidate]:
@@ -183,8 +190,8 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 ),
             )
         )
-        if model.jnt_type[j] == 3 and a.motion[v] > 0.2:
-            for periods in (2, 4, 6, 8, 12):
+        if model.jnt_type[j] == 3:
+            for periods in (p for p in PERIODS if a.range[v] * p / (2 * np.pi) > REPEATS):
                 found.append(
                     Candidate(
                         paths.JointCogging,

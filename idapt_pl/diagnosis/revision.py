@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from idapt_pl.diagnosis.confirming import FAR, PARSIMONY, handicap, rough_fit
+from idapt_pl.diagnosis.confirming import FAR, PARSIMONY, beyond_its_kind, handicap, rough_fit
 from idapt_pl.diagnosis.integration import retest_numerics
 from idapt_pl.diagnosis.screening import screening, shortlist
 from idapt_pl.diagnosis.state import Found, Search, Tried
@@ -55,6 +55,8 @@ def swap_one(search: Search, f: Found, rivals: list[Tried]) -> bool:
         after = search.loss((*search.fixed, *effects_of(candidates, fit.x)))
         gain, error = paired_gain(now, after, search.held_out.windows.episode)
         dearer = PARSIMONY * max(t.candidate.size - f.candidate.size, 0) * max(gain, 0.0)
+        if beyond_its_kind(t.candidate, fit.x[-1]):
+            continue
         if after.mean() + handicap(t) + dearer < best_loss and gain > max(error, 0.03 * float(now.mean())):
             best, best_loss, best_x = t, float(after.mean()), fit.x
     if best is None:
