@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import platform
 import subprocess
 from datetime import UTC, datetime
@@ -24,6 +25,8 @@ PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control"
 def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -> None:
     """Write ``config.yaml`` (complete, re-runnable) and ``run.json``; a resumed run must have the same config.
 
+    ``run.json`` says what the run was started with; every later start is added to its list ``resumed``.
+
     Raises:
         ValueError: if the folder holds a run with another config.
     """
@@ -35,21 +38,23 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
             f"Choose another --run_dir, or resume with --config {path}."
         )
     write_atomically(path, lambda p: p.write_text(text))
-    write_json(
-        run_dir / "run.json",
-        {
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "seed": config.get("seed", config.get("seed_everything")),
-            "git_commit": git_commit(),
-            "python": platform.python_version(),
-            "platform": platform.platform(),
-            "cpu": cpu_model(),
-            "cpu_threads": torch.get_num_threads(),
-            "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
-            "filament": filament_is_used(),
-            "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
-        },
-    )
+    now = {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seed": config.get("seed", config.get("seed_everything")),
+        "git_commit": git_commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu": cpu_model(),
+        "cpu_threads": torch.get_num_threads(),
+        "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+        "filament": filament_is_used(),
+        "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+    }
+    path = run_dir / "run.json"
+    if path.exists():
+        first = json.loads(path.read_text())
+        now = first | {"resumed": [*first.get("resumed", []), now]}
+    write_json(path, now)
 
 
 def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import torch
 
 from cli.fit import GroundingCLI, build
+from idapt_pl.domains import effect_from_dict
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 
 
 def open_run(run: Path) -> IterativeGrounding:
-    """The grounding of a run folder.
+    """The grounding of a run folder, its source with the effects that the run discovered.
 
     Raises:
         ValueError: if it is no run folder.
@@ -21,7 +23,10 @@ def open_run(run: Path) -> IterativeGrounding:
     config = run / "config.yaml"
     if not config.is_file():
         raise ValueError(f"{run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
-    return build(GroundingCLI(["--config", str(config), "--run_dir", str(run)]))[0]
+    grounding = build(GroundingCLI(["--config", str(config), "--run_dir", str(run)]))[0]
+    for path in sorted(run.glob("step_*/effects.json")):
+        grounding.worlds.repair(effect_from_dict(e) for e in json.loads(path.read_text())["effects"])
+    return grounding
 
 
 def load_policy(grounding: IterativeGrounding, path: Path) -> AsymmetricSAC:

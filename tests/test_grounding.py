@@ -13,6 +13,7 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from cli.main import main
+from cli.run_folder import open_run
 from datamodules import read_trajectories
 from idapt_pl.stage import Stages, stage_seed
 
@@ -214,6 +215,28 @@ def test_rerunning_a_finished_run_changes_nothing(finished_run, tiny_args):
     after = contents()
     assert before.keys() == after.keys()
     assert [p.name for p in before if before[p] != after[p]] == []
+
+
+def test_run_json_keeps_what_a_run_was_started_with_and_adds_every_later_start(finished_run, tiny_args, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    (run / "config.yaml").write_text((run / "config.yaml").read_text().replace(str(finished_run), str(run)))
+    (run / "run.json").write_text(json.dumps({"started": "once", "git_commit": "abc"}))
+    for _ in range(2):
+        assert main(["fit", *tiny_args(run)]) == 0
+    kept = json.loads((run / "run.json").read_text())
+    assert (kept["started"], kept["git_commit"]) == ("once", "abc")
+    assert [set(r) >= {"started", "git_commit", "versions"} for r in kept["resumed"]] == [True, True]
+
+
+def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    hidden = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 33.0}}
+    (run / "step_01/effects.json").write_text(json.dumps({"effects": [hidden]}))
+    source = open_run(run).worlds.source_domain.compile()
+    assert source.body("pole").mass[0] == pytest.approx(33.0)
+    assert open_run(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
 
 
 def test_the_kept_config_alone_resumes_the_run(finished_run):
