@@ -10,6 +10,7 @@ from idapt_pl.diagnosis.data import UnusableData, cut, recordings
 from idapt_pl.diagnosis.search import split_episodes
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.diagnosis.statistics import Noise, estimate_noise, initial_sensitivity, whiten, whitener
+from idapt_pl.diagnosis.verdict import alike
 from idapt_pl.domains.effects import JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
 
@@ -307,3 +308,12 @@ def test_numerics_are_reported_as_what_differs():
     report = diagnose(mujoco.MjSpec.from_string(fine), record(noise=(1e-5, 1e-4)), candidates=["body_mass"]).report
     (numerics,) = [e for e in report["effects"] if e["effect"] == "numerics"]
     assert set(numerics["parameters"]) == {"timestep"}
+
+
+def test_what_a_residual_goes_along_with_is_a_share_of_it():
+    rng = np.random.default_rng(0)
+    x, constant = rng.normal(size=500), np.ones(500)
+    assert alike(x, 3 * x + 7) == pytest.approx(1) and alike(-x, x) == pytest.approx(-1)
+    assert alike(constant, constant * -4e-9) == pytest.approx(-1), "a residual that is the same everywhere"
+    assert abs(alike(constant, x)) < 0.1 and abs(alike(x, rng.normal(size=500))) < 0.1
+    assert alike(x, constant) == 0 and alike(0 * x, x) == 0

@@ -239,6 +239,15 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     assert open_run(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
 
 
+def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path):
+    data, out = finished_run / "step_00/target.h5", tmp_path / "diagnosis"
+    options = ["--candidates", "body_mass", "--max-effects", "1", "--seed", "0"]
+    assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *options]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert set(report["error"]["per_channel"]) == {"slider", "hinge"}, "positions read from images, no velocities"
+    assert (out / "report.html").stat().st_size > 0
+
+
 def test_the_kept_config_alone_resumes_the_run(finished_run):
     before = (finished_run / "summary.json").read_bytes()
     assert main(["fit", "--config", str(finished_run / "config.yaml")]) == 0

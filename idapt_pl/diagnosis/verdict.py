@@ -241,23 +241,23 @@ def signature(search: Search, z: np.ndarray) -> str:
     for i in range(sim.model.nu):
         u = np.array([r.actions[s, i] for r, s in at])
         signals |= {f"u({i})": u, f"u|u|({i})": u * np.abs(u), f"sign u({i})": np.sign(u)}
-    scored = []
-    for name, x in signals.items():
-        spread = x.std() * residual.std()
-        c = (
-            float(np.corrcoef(x, residual)[0, 1])
-            if spread > 1e-12
-            else float(abs(residual.mean()) / (residual.std() + 1e-12)) * (name == "1")
-        )
-        scored.append((abs(c), c, name))
-    scored.sort(reverse=True)
+    scored = sorted(((alike(x, residual), name) for name, x in signals.items()), key=lambda c: -abs(c[0]))
     period = dominant_period(search, worst)
     return (
         f"largest in {sim.channels[worst]} ({np.sqrt(by_channel[worst]):.2g} sigma); goes along with "
-        + ", ".join(f"{name} (r = {c:+.2f})" for _, c, name in scored[:3])
+        + ", ".join(f"{name} (r = {c:+.2f})" for c, name in scored[:3])
         + (f"; repeats every {period:.3g} s" if period else "")
         + ". A description, not a cause."
     )
+
+
+def alike(signal: np.ndarray, residual: np.ndarray) -> float:
+    """Correlation, -1 to 1; with a constant, the residual's mean as a share of its rms."""
+    if np.ptp(signal) < 1e-12:
+        return float(residual.mean() / max(np.sqrt(np.square(residual).mean()), 1e-300) * np.sign(signal[0]))
+    if np.ptp(residual) < 1e-12:
+        return 0.0
+    return float(np.corrcoef(signal, residual)[0, 1])
 
 
 def dominant_period(search: Search, channel: int) -> float | None:
