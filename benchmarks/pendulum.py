@@ -4,7 +4,9 @@
 
 Runs ``idapt fit`` with configs/pendulum_quick.yaml for every seed (finished runs are not repeated) and
 writes results/pendulum_quick.csv: one row a policy, so that direct transfer, visual grounding alone and
-every grounding step stand side by side. Failures stay in the table.
+every grounding step stand side by side. Failures stay in the table. An ablation gets rows of its own:
+
+    python benchmarks/pendulum.py --seeds 3 --method "no resets" --visual.reset_weight 0
 """
 
 from __future__ import annotations
@@ -21,10 +23,13 @@ ROOT = Path(__file__).parents[1]
 FIELDS = (
     "task",
     "target",
+    "run",
     "method",
     "seed",
     "grounding_step",
     "return",
+    "std",
+    "psnr",
     "target_interactions",
     "minutes",
     "commit",
@@ -32,8 +37,8 @@ FIELDS = (
 )
 
 
-def run(config: Path, seed: int, extra: list[str], name: str) -> tuple[dict, dict]:
-    """One run, resumed or loaded if it was made before. Returns its summary and provenance."""
+def run(config: Path, seed: int, extra: list[str], name: str) -> Path:
+    """One run, resumed, or left as it is if it was finished before. Returns its folder."""
     folder = ROOT / "runs" / f"{name}_{seed}"
     command = [
         sys.executable,
@@ -49,25 +54,38 @@ def run(config: Path, seed: int, extra: list[str], name: str) -> tuple[dict, dic
     ]
     if not (folder / "summary.json").exists():
         subprocess.run([*command, *extra], cwd=ROOT, check=True)
-    return tuple(json.loads((folder / f"{f}.json").read_text()) for f in ("summary", "run"))
+    return folder
 
 
-def rows(summary: dict, provenance: dict, method: str) -> list[dict]:
-    """Rows of the results table."""
+def rows(folder: Path, method: str) -> list[dict]:
+    """Rows of the results table: returns over the episodes, G's error against paired target images (dB)."""
+
+    def read(name: str) -> dict:
+        return json.loads((folder / f"{name}.json").read_text())
+
+    summary, provenance = read("summary"), read("run")
     common = {
         "task": summary["task"],
         "target": summary["target"],
+        "run": method,
         "seed": summary["seed"],
         "commit": provenance["git_commit"],
         "cpu": provenance["cpu"],
         "target_interactions": summary["target_interactions"],
         "minutes": round(summary["wall_s"] / 60, 1),
     }
-    found = [("direct transfer", "", summary["direct_transfer"]), ("visual only", 0, summary["visual_only"])]
-    found += [(method, k, value) for k, value in enumerate(summary["grounded"], 1)]
+    found = [("direct transfer", "", read("step_00/direct_transfer"), "")]
+    for k in range(len(summary["grounded"]) + 1):
+        measured = read(f"step_{k:02d}/evaluation")
+        name = method if k else "visual only"
+        found.append((name, k, measured["target"], measured["translation"]["psnr"]))
     if summary["oracle"] is not None:
-        found.append(("oracle", "", summary["oracle"]))
-    return [common | {"method": m, "grounding_step": k, "return": round(v, 1)} for m, k, v in found]
+        found.append(("oracle", "", read("step_00/oracle_evaluation"), ""))
+    return [
+        {**common, "method": name, "grounding_step": k, "return": round(r["mean"], 1), "std": round(r["std"], 1),
+         "psnr": psnr}
+        for name, k, r, psnr in found
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -79,7 +97,8 @@ def main() -> None:
     p.add_argument("--out", type=Path, default=ROOT / "results/pendulum_quick.csv")
     o, extra = p.parse_known_args()
     name = f"benchmark_{o.config.stem}_{o.method.replace(' ', '_')}"
-    table = [row for seed in o.seeds for row in rows(*run(o.config, seed, extra, name), o.method)]
+    table = [r for r in csv.DictReader(o.out.open()) if r["run"] != o.method] if o.out.exists() else []
+    table += [row for seed in o.seeds for row in rows(run(o.config, seed, extra, name), o.method)]
     with o.out.open("w", newline="") as f:
         writer = csv.DictWriter(f, FIELDS)
         writer.writeheader()
