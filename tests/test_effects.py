@@ -412,3 +412,27 @@ def test_later_effects_win_and_with_effects_leaves_the_original_alone():
     heavier = base.with_effects(BodyMass("link", 9.0))
     assert base.spec().compile().body("link").mass[0] == pytest.approx(5.0)
     assert heavier.spec().compile().body("link").mass[0] == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize(("speed", "moves"), [(0.0, False), (1.0, True)])
+def test_stribeck_friction_holds_what_rests_and_lets_slide_what_moves(speed, moves):
+    """Pushed with a force between the two levels: a block at rest stays, one that slides gets faster."""
+    effect, push = JointStribeck("slide", coulomb=2.0, static=6.0, speed=0.05), 4.0
+    spec = Domain("test", lambda: mujoco.MjSpec.from_string(MODEL), (JointDamping("slide", 0.0),)).spec()
+    effect.constrain(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[0] = speed
+    for _ in range(200):
+        law = effect.force(data.qpos[:1], data.qvel[:1], np.zeros(1))
+        data.qfrc_applied[0] = push + law[0]
+        mujoco.mj_step(model, data)
+    gained = data.qvel[0] - speed
+    expected = (push - effect.coulomb) / model.body_subtreemass[1] * data.time
+    assert gained == pytest.approx(expected, rel=0.1) if moves else abs(data.qvel[0]) < 0.02
+
+
+@pytest.mark.parametrize("coulomb", [0.0, 3.0])
+def test_stribeck_friction_without_a_fall_is_dry_friction(coulomb):
+    v = np.linspace(-1, 1, 7)
+    assert not JointStribeck("slide", coulomb, coulomb, 0.1).force(v, v, v).any()

@@ -79,13 +79,13 @@ class Simulator:
 
     def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
         """The model and room to simulate it, for each thread; the last few are kept."""
-        said = tuple(e for e in effects if not isinstance(e, CommandEffect | ForceEffect | SensingEffect))
+        said = tuple(e for e in effects if not isinstance(e, CommandEffect | SensingEffect) and not law_alone(e))
         if said not in self._compiled:
             if len(self._compiled) >= 8:
                 self._compiled.pop(next(iter(self._compiled)))
             spec = self.spec.copy()
             for effect in said:
-                effect.apply(spec)
+                effect.constrain(spec) if isinstance(effect, ForceEffect) else effect.apply(spec)
             model = spec.compile()
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
@@ -220,6 +220,11 @@ class Simulator:
             q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
             joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
         return np.concatenate([joint, body.reshape(len(state), -1)], 1)
+
+
+def law_alone(effect: Effect) -> bool:
+    """Whether an effect is a force law that needs nothing in the model."""
+    return isinstance(effect, ForceEffect) and type(effect).constrain is ForceEffect.constrain
 
 
 def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

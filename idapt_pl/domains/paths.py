@@ -209,6 +209,9 @@ class ForceEffect(Effect):
 
     kind: ClassVar[str] = "joints"
 
+    def constrain(self, spec: mujoco.MjSpec) -> None:
+        """Write into the model what a simulation needs there beside the force, if anything."""
+
     @abstractmethod
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Torques on the joints meant, from their (n, joints) positions and velocities."""
@@ -216,16 +219,24 @@ class ForceEffect(Effect):
 
 @dataclass(frozen=True)
 class JointStribeck(ForceEffect):
-    """Friction that falls with speed: coulomb + (static - coulomb) exp(-(v/speed)²), against the motion."""
+    """Friction that falls with speed: coulomb + (static - coulomb) exp(-(v/speed)²), against the motion.
+
+    Only a constraint can hold a joint still. So the larger of the two levels is MuJoCo's dry friction, and the force
+    law is what it falls by once the joint moves.
+    """
 
     name: ClassVar[str] = "joint_stribeck"
     coulomb: float = parameter("N·m or N", 0.0, 1e6)
     static: float = parameter("N·m or N", 0.0, 1e6)
     speed: float = parameter("rad/s or m/s", 1e-4, 1e3, default=0.1)
 
+    def constrain(self, spec: mujoco.MjSpec) -> None:
+        for joint in elements(spec, "joints", self.target):
+            joint.frictionloss += max(self.static, self.coulomb)
+
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
-        level = self.coulomb + max(self.static - self.coulomb, 0.0) * np.exp(-np.square(qvel / self.speed))
-        return -level * np.tanh(qvel / (0.1 * self.speed))
+        falls_by = max(self.static - self.coulomb, 0.0)
+        return falls_by * -np.expm1(-np.square(qvel / self.speed)) * np.sign(qvel)
 
 
 @dataclass(frozen=True)
