@@ -43,7 +43,7 @@ CASES: dict[str, tuple[Effect, ...]] = {
 }
 FIELDS = (
     "case", "seed", "found", "disbelieved", "right", "estimate", "low", "high", "truth", "covered",
-    "before", "after", "excess", "target_interactions", "seconds",
+    "before", "after", "excess", "explained", "target_interactions", "seconds",
 )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
     """Compare what was found with what was hidden."""
     labels = [[f"{e['effect']}({e['target']})" for e in result[k]] for k in ("effects", "disbelieved")]
     row = {"found": " + ".join(labels[0]), "disbelieved": " + ".join(labels[1])}
-    row |= {k: round(result[k], 3) for k in ("before", "after", "excess")}
+    row |= {k: round(result[k], 3) for k in ("before", "after", "excess", "explained")}
     if not hidden:
         return row | {"right": int(not labels[0])}
     truth = hidden[0]

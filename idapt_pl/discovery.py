@@ -4,7 +4,7 @@ An estimator of the state, fitted to what G shows of the source, turns the targe
 diagnosis looks for the effect with which the source replays them. It is a poor sensor, with errors that depend on the
 state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
 missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
-clearly larger and it is something else.
+clearly larger, most of the difference goes with it, and it is something else.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ SHORTEST = 6
 """Control steps that an episode must last to be of use."""
 CLEARLY_MORE = 1.3
 """How many times as large as in the control the error must be in some channel of the target."""
+MOST = 0.5
+"""Share of the error beyond the control's, in that channel, that what is found must remove."""
 See = Callable[[np.ndarray], np.ndarray]
 CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
 """What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
@@ -93,6 +95,20 @@ def pieces(data: Trajectories, length: int) -> Trajectories:
     return Trajectories(tuple(cut), data.dt, data.source)
 
 
+def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tuple[float, float]:
+    """In the channel where the target's error exceeds the control's most: by what factor, and what share was removed.
+
+    Args:
+        target: channel to its errors ``before`` and ``after``, in its unit.
+        control: the same, where nothing is missing.
+    """
+    ratios = {name: c["before"] / control[name]["before"] for name, c in target.items()}
+    worst = max(ratios, key=ratios.get)
+    beyond = target[worst]["before"] - control[worst]["before"]
+    removed = target[worst]["before"] - target[worst]["after"]
+    return ratios[worst], removed / beyond if beyond > 0 else 0.0
+
+
 def discover(
     task: Task, source: Domain, sensor: PixelStatePredictor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: Discovery, seed: int,
@@ -111,7 +127,8 @@ def discover(
 
     Returns:
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
-        channel's error in the target to that in the control; the diagnosis's ``estimates``, its error ``before`` and
+        channel's error in the target to that in the control, and the share of what is beyond the control's that was
+        ``explained`` in that channel; the diagnosis's ``estimates``, its error ``before`` and
         ``after``, in units of the sensor's noise, and the errors of the channels of ``target`` and ``control``.
     """
     spec = source.spec()
@@ -129,8 +146,9 @@ def discover(
     found = [e for e in seen.effects if e.name != "numerics"]
     made_up = {(e.name, e.target) for e in checked.effects}
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
-    excess = max(c["before"] / errors[1][name]["before"] for name, c in errors[0].items())
-    believed = [e for e in found if (e.name, e.target) not in made_up and excess > CLEARLY_MORE]
+    excess, explained = beyond_the_control(*errors)
+    believable = excess > CLEARLY_MORE and explained > MOST
+    believed = [e for e in found if (e.name, e.target) not in made_up and believable]
     report = {e["effect"] + e["target"]: e for e in seen.report["effects"]}
     for e in found:
         log.info("effect found from images: %s", report.get(e.name + e.target, e))
@@ -139,6 +157,7 @@ def discover(
         "disbelieved": [e.to_dict() for e in found if e not in believed],
         "estimates": [e for e in seen.report["effects"] if e["effect"] != "numerics"],
         "excess": excess,
+        "explained": explained,
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],
         "target": errors[0],

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, discover, positions
+from idapt_pl.discovery import Discovery, beyond_the_control, discover, positions
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.tasks import make_task
@@ -97,3 +97,10 @@ def test_a_predictor_that_needs_stacks_is_refused():
     predictor.shown = [2, 3]
     with pytest.raises(ValueError, match=r"vision\.rates"):
         positions(np.zeros((1, 32, 32, 3), np.uint8), predictor, 2)
+
+
+def test_what_is_beyond_the_control_is_measured_where_it_is_most():
+    control = {"x": {"before": 1.0, "after": 0.9}, "angle": {"before": 2.0, "after": 2.0}}
+    target = {"x": {"before": 1.2, "after": 1.2}, "angle": {"before": 6.0, "after": 3.0}}
+    assert beyond_the_control(target, control) == (3.0, 0.75)
+    assert beyond_the_control(control, control)[1] == 0
