@@ -32,11 +32,14 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     """
     text = parser.dump(config, skip_none=False)
     path = run_dir / "config.yaml"
-    if path.exists() and (different := changed_keys(yaml.safe_load(path.read_text()), yaml.safe_load(text))):
-        raise ValueError(
-            f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
-            f"Choose another --run_dir, or resume with --config {path}."
-        )
+    if path.exists():
+        defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
+        before = filled(yaml.safe_load(path.read_text()), defaults)
+        if different := changed_keys(before, yaml.safe_load(text)):
+            raise ValueError(
+                f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
+                f"Choose another --run_dir, or resume with --config {path}."
+            )
     write_atomically(path, lambda p: p.write_text(text))
     now = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -55,6 +58,14 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
         first = json.loads(path.read_text())
         now = first | {"resumed": [*first.get("resumed", []), now]}
     write_json(path, now)
+
+
+def filled(config: dict, defaults: dict) -> dict:
+    """A config with the defaults of keys that it does not have: it may be of a version that did not know them yet."""
+    nested = {
+        k: filled(config[k], v) for k, v in defaults.items() if isinstance(v, dict) and isinstance(config.get(k), dict)
+    }
+    return defaults | config | nested
 
 
 def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:

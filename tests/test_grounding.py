@@ -8,6 +8,7 @@ import lightning as L
 import numpy as np
 import pytest
 import torch
+import yaml
 from conftest import TINY
 from torch import nn
 from torch.utils.data import DataLoader
@@ -246,6 +247,18 @@ def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(fi
     report = json.loads((out / "report.json").read_text())
     assert set(report["error"]["per_channel"]) == {"slider", "hinge"}, "positions read from images, no velocities"
     assert (out / "report.html").stat().st_size > 0
+
+
+def test_a_run_of_a_version_that_did_not_know_some_keys_is_resumed_with_their_defaults(
+    finished_run, tiny_args, tmp_path
+):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    del config["visual"]["channels_last"], config["effects"], config["feeding"]["garat_ridge"]
+    (run / "config.yaml").write_text(yaml.safe_dump(config | {"run_dir": str(run)}))
+    assert main(["fit", *tiny_args(run)]) == 0
+    assert yaml.safe_load((run / "config.yaml").read_text())["visual"]["channels_last"] is False
 
 
 def test_the_kept_config_alone_resumes_the_run(finished_run):
