@@ -29,8 +29,11 @@ from idapt_pl.tasks import Task
 log = logging.getLogger(__name__)
 SHORTEST = 6
 """Control steps that an episode must last to be of use."""
-CLEARLY_MORE = 1.3
-"""How many times as large as in the control the error must be in some channel of the target."""
+CLEARLY_MORE = 3.0
+"""How many times as large as in the control the error must be in some channel of the target.
+
+The sensor was fitted to the images of the control, so it errs more on the target even where nothing is missing: 1.5 to
+2.3 times on the pendulum (``benchmarks/discovery.py --cases nothing``)."""
 MOST = 0.5
 """Share of the error beyond the control's, in that channel, that what is found must remove."""
 See = Callable[[np.ndarray], np.ndarray]
