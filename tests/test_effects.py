@@ -20,6 +20,7 @@ from idapt_pl.domains.effects import (
     FluidDrag,
     GravityDirection,
     JointArmature,
+    JointBacklash,
     JointDamping,
     JointDrag,
     JointFrictionloss,
@@ -95,6 +96,7 @@ EXAMPLES = [
     ActuatorRotation("push hold", 0.3),
     ContactSoftness("*", 0.05),
     FluidDrag("world", density=1.2, viscosity=0.1),
+    JointBacklash("hinge", 0.05),
     JointDrag("hinge", 0.4),
     JointSpringref("hinge", 0.2),
     JointStiffness("slide", 3.0),
@@ -103,6 +105,7 @@ EXAMPLES = [
     ActuatorDelay("push", 0.005),
     ActuatorLag("push", 0.03),
     ActuatorSaturation("push", 0.5),
+    ActuatorSaturation("hold", force=0.5),
     ActuatorDeadzone("push", 0.05),
     ExternalForce("block", x=1.0),
     JointCogging("hinge", 0.1),
@@ -436,3 +439,25 @@ def test_stribeck_friction_holds_what_rests_and_lets_slide_what_moves(speed, mov
 def test_stribeck_friction_without_a_fall_is_dry_friction(coulomb):
     v = np.linspace(-1, 1, 7)
     assert not JointStribeck("slide", coulomb, coulomb, 0.1).force(v, v, v).any()
+
+
+def test_a_link_with_backlash_turns_freely_by_the_width_and_no_further():
+    model = compiled(JointBacklash("hinge", 0.2), JointFrictionloss("hinge", 50.0))
+    data, behind = mujoco.MjData(model), model.joint("hinge play")
+    reached = []
+    for torque in (0.05, -0.05):
+        mujoco.mj_resetData(model, data)
+        data.qfrc_applied[behind.dofadr[0]] = torque  # on the link; dry friction holds the motor
+        for _ in range(2000):
+            mujoco.mj_step(model, data)
+        assert data.joint("hinge").qpos[0] == pytest.approx(0.0, abs=0.02), "dry friction creeps a little"
+        reached.append(data.joint("hinge play").qpos[0])
+    assert reached == pytest.approx([0.1, -0.1], abs=0.01)
+
+
+def test_a_force_limit_holds_whatever_the_set_point():
+    model = compiled(ActuatorSaturation("hold", force=0.5))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 100.0
+    mujoco.mj_forward(model, data)
+    assert abs(data.actuator("hold").force[0]) == pytest.approx(0.5)

@@ -15,6 +15,11 @@ from idapt_pl.domains.paths import ExternalForce, SensingEffect
 log = logging.getLogger(__name__)
 FAR = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
+NOTICEABLE = 0.03
+"""Of the size that a candidate's scale calls noticeable: a further effect that is smaller is no finding, however sure.
+
+What a found effect's law or the integration gets wrong by a per cent looks like that.
+"""
 PARSIMONY = 0.15
 """Share of the best gain that every further parameter must then be worth."""
 
@@ -70,6 +75,8 @@ def objection(search: Search, t: Tried, now: np.ndarray) -> str:
         return "the noise floor is reached without it"
     if t.round and t.gain < max(0.05 * level, 0.08):
         return f"as a further effect it removes {100 * t.gain / level:.1f} % of the held-out error, less than 5 %"
+    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE:
+        return f"as a further effect it is too small to matter: {100 * t.candidate.change(t.x[-1]):.1g} % of its scale"
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
         return "the typical window is at the noise floor already"
     return ""

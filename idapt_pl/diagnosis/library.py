@@ -36,6 +36,7 @@ class Candidate:
         starts: further places to start a fit from, each (parameters,).
         fixed: parameters that are not free.
         span: narrower bounds, a pair for each parameter, where more would not be this effect any more.
+        strength: how many of the parameters, from the first on, say how strong it is; the others say where or how.
     """
 
     kind: type[Effect]
@@ -46,6 +47,7 @@ class Candidate:
     starts: tuple[tuple[float, ...], ...] = ()
     fixed: tuple[tuple[str, object], ...] = ()
     span: tuple[tuple[float, float], ...] | None = None
+    strength: int | None = None
 
     @property
     def label(self) -> str:
@@ -56,6 +58,11 @@ class Candidate:
     def size(self) -> int:
         """Number of free parameters."""
         return len(self.names)
+
+    def change(self, x: np.ndarray) -> float:
+        """How much an effect with these values changes, in units of a noticeable change."""
+        n = self.strength or self.size
+        return float(np.max(np.abs(np.subtract(x, self.nominal)[:n]) / np.array(self.scale[:n])))
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the parameters."""
@@ -88,6 +95,7 @@ class Surroundings:
         motion: spread of the positions of each scalar joint, (nv,).
         range: from their least to their greatest, (nv,).
         command: rms of the commands, (nu,).
+        force: rms of the actuators' forces in the nominal model, (nu,).
         horizon: how long predictions run, s.
     """
 
@@ -97,18 +105,21 @@ class Surroundings:
     motion: np.ndarray
     range: np.ndarray
     command: np.ndarray
+    force: np.ndarray
     horizon: float
 
 
 def surroundings(model: mujoco.MjModel, data: list[Recording], horizon: float) -> Surroundings:
     """Measure them."""
-    d, inertia = mujoco.MjData(model), []
+    d, inertia, force = mujoco.MjData(model), [], []
     for r in data[:8]:
-        d.qpos[:], d.qvel[:] = r.qpos[len(r) // 2], r.qvel[len(r) // 2]
-        mujoco.mj_forward(model, d)
-        full = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, d, full)
-        inertia.append(np.diag(full))
+        for k in np.linspace(0, len(r.actions) - 1, 9).astype(int):
+            d.qpos[:], d.qvel[:], d.ctrl[:] = r.qpos[k], r.qvel[k], r.actions[k]
+            mujoco.mj_forward(model, d)
+            full = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, d, full)
+            inertia.append(np.diag(full))
+            force.append(d.actuator_force.copy())
     speed = np.sqrt(np.mean(np.concatenate([np.square(r.qvel) for r in data]), 0))
     positions = np.concatenate([r.qpos for r in data])
     motion, widest = np.ones(model.nv), np.zeros(model.nv)
@@ -120,7 +131,9 @@ def surroundings(model: mujoco.MjModel, data: list[Recording], horizon: float) -
     command = np.sqrt(np.mean(np.square(actions), 0)) if model.nu else np.zeros(0)
     dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
     tiny = 1e-9
-    return Surroundings(dt, np.median(inertia, 0) + tiny, speed + tiny, motion + tiny, widest, command + tiny, horizon)
+    inertia, force = np.median(inertia, 0), np.sqrt(np.mean(np.square(force), 0))
+    usual = (inertia, speed, motion, widest, command, force)
+    return Surroundings(dt, *(u + tiny for u in usual), horizon)
 
 
 def library(spec: mujoco.MjSpec, around: Surroundings) -> list[Candidate]:
@@ -164,6 +177,8 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
             singles.append(Candidate(kind, model.joint(j).name, (parameter,), (n,), (s,), starts))
         found += singles + _shared(singles)
     springs, rests = [], []
+    on_joints = [i for i in range(model.nu) if model.actuator_trntype[i] == JOINT]
+    driven = {model.jnt_dofadr[model.actuator_trnid[i, 0]] for i in on_joints}
     for j in hinges:
         v, q, name = model.jnt_dofadr[j], model.jnt_qposadr[j], model.joint(j).name
         stiffness = float(model.jnt_stiffness[j])
@@ -185,11 +200,15 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 (0.0, 0.0, a.speed[v] / 4),
                 (torque, torque, a.speed[v] / 4),
                 span=((0.0, 1e6), (0.0, 1e6), (a.speed[v] / 50, 10 * a.speed[v])),  # slower is plain dry friction
+                strength=2,
                 starts=tuple(
                     (c * torque, s * torque, f * a.speed[v]) for c, s in ((0.1, 0.2), (0.3, 1.0)) for f in (0.05, 0.3)
                 ),
             )
         )
+        if v in driven:
+            starts = tuple((f * a.motion[v],) for f in (0.03, 0.15))
+            found.append(Candidate(physics.JointBacklash, name, ("width",), (0.0,), (0.1 * a.motion[v],), starts))
         if model.jnt_type[j] == 3:
             for periods in (p for p in PERIODS if a.range[v] * p / (2 * np.pi) > REPEATS):
                 found.append(
@@ -231,6 +250,7 @@ def _bodies(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 (0.0,) * 4,
                 (mass, *(3 * reach,) * 3),
                 starts=((0.2 * mass, 0.0, 0.0, 0.0), (0.2 * mass, 3 * reach, 0.0, 3 * reach)),
+                strength=1,
             )
         )
         found.append(
@@ -276,13 +296,6 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
         ),
         (paths.ActuatorDelay, "delay", 0.0, lambda i: a.dt, lambda i: tuple((f * a.dt,) for f in (0.5, 1.0, 2.0, 4.0))),
         (
-            paths.ActuatorLag,
-            "time_constant",
-            0.0,
-            lambda i: a.dt,
-            lambda i: tuple((f * a.dt,) for f in (0.3, 1.0, 3.0)),
-        ),
-        (
             paths.ActuatorSaturation,
             "limit",
             widest,
@@ -297,10 +310,25 @@ def _actuators(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
             if model.actuator(i).name
         ]
         found += singles + _shared(singles)
-    return found + _servos(model)
+    h = float(model.opt.timestep)
+    lags = [
+        Candidate(
+            paths.ActuatorLag,
+            model.actuator(i).name,
+            ("time_constant", "dead_time"),
+            (0.0, 0.0),
+            (a.dt, h),
+            starts=tuple((f * a.dt, 0.0) for f in (0.3, 1.0, 3.0)),
+            span=((0.0, 10.0), (-h, h)),  # beyond a time step it is a delay of its own
+            strength=1,
+        )
+        for i in range(model.nu)
+        if model.actuator(i).name
+    ]
+    return found + lags + _shared(lags) + _servos(model, a)
 
 
-def _servos(model: mujoco.MjModel) -> list[Candidate]:
+def _servos(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
     """Gains of servos and constants of motors, and what crossed wires do."""
     names = [model.actuator(i).name for i in range(model.nu)]
     dc = [i for i in range(model.nu) if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR]
@@ -312,6 +340,13 @@ def _servos(model: mujoco.MjModel) -> list[Candidate]:
         Candidate(physics.ActuatorKp, names[i], ("factor",), (1.0,), (0.3,), starts=((0.3,), (0.1,), (2.0,)))
         for i in servos
     ]
+    weak = []
+    for i in servos:  # a motor's force is its command, a servo's is not
+        widest = float(model.actuator_forcerange[i, 1] if model.actuator_forcelimited[i] else 10 * a.force[i])
+        starts = tuple((f * a.force[i],) for f in (0.5, 1.0, 1.6))
+        weak.append(
+            Candidate(paths.ActuatorSaturation, names[i], ("force",), (widest,), (0.5 * a.force[i],), starts=starts)
+        )
     constant = [Candidate(physics.MotorConstant, names[i], ("factor",), (1.0,), (0.3,)) for i in dc]
     feedback = []
     for i in fed_back:
@@ -321,7 +356,7 @@ def _servos(model: mujoco.MjModel) -> list[Candidate]:
         Candidate(paths.ActuatorRotation, f"{names[i]} {names[i + 1]}", ("angle",), (0.0,), (0.3,), starts=((1.57,),))
         for i in range(model.nu - 1)
     ]
-    named = [c for c in (*stiff, *constant, *feedback) if c.target]
+    named = [c for c in (*stiff, *weak, *constant, *feedback) if c.target]
     return named + [s for kind in (stiff, constant, feedback) for s in _shared(kind)] + crossed
 
 
@@ -352,9 +387,9 @@ def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 starts=((0.5 * soft,), (2.5 * soft,)),
             )
         )
-    frictions = model.geom_friction[touching, 0]
     for g in touching:
-        if model.geom(g).name and len(set(frictions)) > 1:
+        # of two geoms the larger friction counts: less of one alone shows only where it had more than the other
+        if model.geom(g).name:
             own = float(model.geom_friction[g, 0])
             found.append(
                 Candidate(
@@ -363,7 +398,7 @@ def _contacts(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                     ("sliding",),
                     (own,),
                     (0.3 * own + 0.05,),
-                    starts=((0.4 * own,), (2.0 * own,)),
+                    starts=((0.4 * own,), (2.0 * own,)) if own == slide else ((2.0 * slide,),),
                 )
             )
     return found

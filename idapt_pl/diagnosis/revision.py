@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from idapt_pl.diagnosis.confirming import FAR, PARSIMONY, beyond_its_kind, handicap, rough_fit
+from idapt_pl.diagnosis.confirming import FAR, NOTICEABLE, PARSIMONY, beyond_its_kind, handicap, rough_fit
 from idapt_pl.diagnosis.integration import retest_numerics
 from idapt_pl.diagnosis.screening import screening, shortlist
 from idapt_pl.diagnosis.state import Found, Search, Tried
@@ -83,7 +83,8 @@ def prune(search: Search) -> None:
         fit = search.refit(search.fit, candidates, [g.x for g in rest], 4)
         with_it, without = search.loss(search.effects), search.loss((*search.fixed, *effects_of(candidates, fit.x)))
         gain, error = paired_gain(without, with_it, search.held_out.windows.episode)
-        if gain < max(s.relative_gain * float(without.mean()), s.sureness * error):
+        needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
+        if needless or f.candidate.change(f.x) < NOTICEABLE:
             log.info("pruned %s: without it %.3g, with it %.3g", f.candidate.label, without.mean(), with_it.mean())
             search.found = rest
             search.x = fit.x

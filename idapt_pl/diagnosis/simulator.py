@@ -12,7 +12,8 @@ import numpy as np
 from mujoco import rollout
 
 from idapt_pl.diagnosis.data import Recording, Windows, difference, shift
-from idapt_pl.domains.effects import Effect
+from idapt_pl.diagnosis.play import Play
+from idapt_pl.domains.effects import PLAY, Effect
 from idapt_pl.domains.paths import Command, CommandEffect, ExternalForce, ForceEffect, SensingEffect
 
 Effects = tuple[Effect, ...]
@@ -20,6 +21,9 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
+
+SETTLING = 8
+"""Samples before a window from which it is found out where in their play joints are."""
 
 HELD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
@@ -79,13 +83,13 @@ class Simulator:
 
     def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
         """The model and room to simulate it, for each thread; the last few are kept."""
-        said = tuple(e for e in effects if not isinstance(e, CommandEffect | SensingEffect) and not law_alone(e))
+        said = tuple(e for e in effects if not outside_model(e))
         if said not in self._compiled:
             if len(self._compiled) >= 8:
                 self._compiled.pop(next(iter(self._compiled)))
             spec = self.spec.copy()
             for effect in said:
-                effect.constrain(spec) if isinstance(effect, ForceEffect) else effect.apply(spec)
+                effect.constrain(spec) if isinstance(effect, CommandEffect | ForceEffect) else effect.apply(spec)
             model = spec.compile()
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
@@ -113,17 +117,20 @@ class Simulator:
         model, data = self._ready(effects)
         qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
         if nudge is not None:
-            qpos, qvel = shift(model, qpos, nudge[: model.nv]), qvel + nudge[model.nv :]
-        sensing = [(e, self._joints(e.target)) for e in effects if isinstance(e, SensingEffect)]
+            nv = self.model.nv
+            qpos, qvel = shift(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
+        sensing = [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
         for effect, joints in reversed(sensing):
             qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
         times = self._times(windows)
         ends = times[:, windows.offsets] - times[:, :1]
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
         controls = self._controls(effects, windows, steps, model.opt.timestep)
+        play = Play(self.model, model)
         with silence():
-            states = self._roll(model, data, effects, times[:, 0], qpos, qvel, controls)
-        qpos, qvel = read_off(model, states, ends)
+            loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
+            states = self._roll(model, data, effects, times[:, 0], *play.expand(qpos, qvel, loose), controls)
+        qpos, qvel = play.contract(*read_off(model, states, ends))
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
@@ -144,9 +151,29 @@ class Simulator:
             self._samples[key] = np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs])
         return self._samples[key]
 
-    def _joints(self, target: str) -> list[int]:
-        m = self.model
-        return [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and target in ("*", m.joint(j).name)]
+    def _joints(self, m: mujoco.MjModel, target: str) -> list[int]:
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY)]
+        return [j for j in scalar if target in ("*", m.joint(j).name)]
+
+    def _settle(self, play: Play, model, data, effects: Effects, windows: Windows) -> np.ndarray:
+        """Where in their play joints are when windows begin, positions and velocities: (n, 2, joints with play).
+
+        Nothing measures it. So the samples before are gone through: the link is put where it was measured at each of
+        them, and what the motor does meanwhile decides which flank it rests on.
+        """
+        before = np.minimum(windows.start, SETTLING)
+        early = Windows(windows.episode, windows.start - before, np.zeros(1, int))
+        per_sample = max(1, round(float(np.median(np.diff(self._times(windows)))) / model.opt.timestep))
+        controls = self._controls(effects, early, int(before.max(initial=0)) * per_sample, model.opt.timestep)
+        loose = np.zeros((len(windows), 2, play.size))
+        for k in range(int(before.max(initial=0))):
+            rows = np.flatnonzero(k < before)
+            at = Windows(early.episode[rows], early.start[rows] + k, np.zeros(1, int))
+            time, qpos, qvel = (self._of(name, at, at.offsets)[:, 0] for name in ("time", "qpos", "qvel"))
+            held = controls[rows, k * per_sample : (k + 1) * per_sample]
+            states = self._roll(model, data, effects, time, *play.expand(qpos, qvel, loose[rows]), held)
+            loose[rows] = play.read(states[:, -1, 1:])
+        return loose
 
     def _sense(self, how, joints: list[int], qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         qpos, qvel = qpos.copy(), qvel.copy()
@@ -216,15 +243,16 @@ class Simulator:
             if isinstance(effect, ExternalForce):
                 body[:, model.body(effect.target).id, :3] += effect.force(qpos, qvel, state[:, 0])
                 continue
-            joints = self._joints(effect.target)
+            joints = self._joints(model, effect.target)
             q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
             joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
         return np.concatenate([joint, body.reshape(len(state), -1)], 1)
 
 
-def law_alone(effect: Effect) -> bool:
-    """Whether an effect is a force law that needs nothing in the model."""
-    return isinstance(effect, ForceEffect) and type(effect).constrain is ForceEffect.constrain
+def outside_model(effect: Effect) -> bool:
+    """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
+    acts_outside = isinstance(effect, CommandEffect | ForceEffect) and not effect.constrains
+    return acts_outside or isinstance(effect, SensingEffect)
 
 
 def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -121,9 +121,9 @@ class Split:
 
 @dataclass(frozen=True)
 class Sensed:
-    """Windows, and how they depend on their first states under some numerics."""
+    """Windows, and how they depend on their first states; ``under`` which numerics and found effects."""
 
-    fixed: Effects
+    under: tuple
     fit: Windows
     held_out: Windows
     at_fit: Sensitivity
@@ -280,11 +280,11 @@ class Search:
     def renew(self) -> None:
         """Whiten again under the current model.
 
-        Sensitivities to the first state hang on numerics and contacts, hardly on the effects found, and are dear: they
-        are kept until the numerics change.
+        Sensitivities to the first state are dear: they are kept while numerics and kinds of found effects are the same.
         """
-        if self.sensed is None or self.sensed.fixed != self.fixed:
-            self.sensed = self.sense()
+        under = (self.fixed, tuple(c.label for c in self.accepted))
+        if self.sensed is None or self.sensed.under != under:
+            self.sensed = self.sense(under)
         s, rng, share = self.settings, np.random.default_rng(self.seed), self.affordable()
         seen = self.sensed
         self.noise = estimate_noise(self.sim, self.effects, self.probe)
@@ -294,10 +294,10 @@ class Search:
         few, fewer = (max(30, int(n * share)) for n in (s.screen_windows, s.scout_windows))
         self.screen, self.scout = self.fit[np.sort(rows[:few])], self.fit[np.sort(rows[:fewer])]
 
-    def sense(self) -> Sensed:
+    def sense(self, under: tuple) -> Sensed:
         """Cut the windows and find out how they depend on their first states."""
         s, sim, effects = self.settings, self.sim, self.effects
         fit = self.cut(self.fit_episodes, s.fit_windows, 1)
         held_out = self.cut(self.held_out_episodes, s.held_out_windows, 2)
         at = [initial_sensitivity(sim, effects, w, self.noise.start) for w in (fit, held_out)]
-        return Sensed(self.fixed, fit, held_out, *at)
+        return Sensed(under, fit, held_out, *at)

@@ -20,6 +20,9 @@ HUBER = 4.0
 """Whitened residuals beyond this many sigma count linearly: a few contacts must not decide."""
 
 
+LIKENESS = 0.5
+"""Share of the median noise of sensors of its kind that a sensor has at least."""
+
 PULL = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
 
@@ -84,11 +87,28 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     if not sim.velocities:
         limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
     low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
-    sigma = np.clip(np.sqrt(variances(A, residual)), low, np.maximum(limit, low))
+    sigma = np.clip(likened(sim.model, np.sqrt(variances(A, residual))), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
     start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], bent=0.0))
     return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
+
+
+def likened(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
+    """No sensor is taken to be much better than the others of its kind (:data:`LIKENESS`).
+
+    Where stiff springs or contacts pass the noise of other channels on, a channel's own is a small part of what is
+    seen, and the estimate of it may come out as nothing: all the rest would then count as evidence.
+
+    Args:
+        model: the model.
+        sigma: of positions, and of velocities, (2 nv,).
+    """
+    turns = np.concatenate([{0: [0] * 3 + [1] * 3, 1: [1] * 3, 2: [0], 3: [1]}[int(t)] for t in model.jnt_type])
+    kind, out = np.concatenate([turns, 2 + turns]), sigma.copy()
+    for k in np.unique(kind):
+        out[kind == k] = np.maximum(sigma[kind == k], LIKENESS * np.median(sigma[kind == k]))
+    return out
 
 
 def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:

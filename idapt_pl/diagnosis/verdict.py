@@ -21,7 +21,7 @@ def judge(search: Search, tried: list[Tried]) -> dict:
     before, after = (float(np.sqrt(window_loss(z).mean())) for z in (nominal, final))
     removable_before = black_box(search, search.declared, nominal)
     removable = black_box(search, search.effects, final)
-    verdict = decide(search, before, after, float(np.median(window_loss(final))), removable)
+    verdict = decide(search, before, after, window_loss(final), removable)
     physical = {
         "before": rms(sim.residual(search.declared, search.held_out.windows)),
         "after": rms(sim.residual(search.effects, search.held_out.windows)),
@@ -85,13 +85,18 @@ def units(sim) -> list[str]:
     return out + [f"{u}/s" for u in out] * sim.velocities
 
 
-def decide(search: Search, before: float, after: float, median_after: float, removable: float) -> str:
-    """The verdict; a remainder counts only if it is typical of the windows or could be predicted."""
-    left_over = after**2 > 1.6 and (median_after > 1.5 or removable > 0.25)
+UNPREDICTABLE = 4.0, 6.0
+"""Loss of the typical window, and of one in four, from which even a remainder that nothing predicts is no noise."""
+
+
+def decide(search: Search, before: float, after: float, losses: np.ndarray, removable: float) -> str:
+    """The verdict; a remainder counts only if it is typical of the windows, or of a quarter, or could be predicted."""
+    median_after, upper = np.quantile(losses, [0.5, 0.75])
+    left_over = after**2 > 1.6 and (median_after > 1.5 or upper > UNPREDICTABLE[1] or removable > 0.25)
     if search.found:
-        poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0
+        poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0 or upper > UNPREDICTABLE[1]
         return "unexplained_residual" if left_over and poor else "effects_found"
-    if left_over and (removable > 0.1 or median_after > 2.0):
+    if left_over and (removable > 0.1 or median_after > UNPREDICTABLE[0] or upper > UNPREDICTABLE[1]):
         return "unexplained_residual"
     return "insufficient_excitation" if too_quiet(search) else "no_missing_effect"
 

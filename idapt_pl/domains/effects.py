@@ -367,6 +367,40 @@ class JointDrag(_JointEffect):
         joint.damping[1] = self.drag
 
 
+PLAY = " play"
+"""What the name of a joint behind another one, which is its play, ends in."""
+
+
+@dataclass(frozen=True)
+class JointBacklash(Effect):
+    """Play in the gearbox: behind the driven joint the link turns (or slides) freely by ``width`` in all.
+
+    It is a second joint of the same body, limited to plus and minus half the width. The model's coordinate of the
+    driven joint is then that of the motor; what the link does is the sum of both.
+    """
+
+    name: ClassVar[str] = "joint_backlash"
+    width: float = parameter("rad or m", 0.0, 10.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for joint in elements(spec, "joints", self.target):
+            if self.width and joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                self.loosen(spec, joint)
+
+    def loosen(self, spec: mujoco.MjSpec, joint: Any) -> None:
+        """Put the second joint behind one."""
+        # without inertia of its own the motor could not be told from the link
+        felt = float(spec.copy().compile().joint(joint.name).M0[0])
+        joint.armature = max(joint.armature, 0.01 * felt)
+        play = joint.parent.add_joint(name=joint.name + PLAY, type=joint.type, axis=joint.axis, pos=joint.pos)
+        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+        half = self.width / 2 * (180 / np.pi if turns and spec.compiler.degree else 1.0)
+        play.limited, play.range = True, (-half, half)
+        play.armature = play.frictionloss = play.margin = play.ref = play.springref = 0.0
+        play.stiffness[:] = play.damping[:] = 0.0
+        play.solref_limit = (2 * spec.option.timestep, 1.0)
+
+
 @dataclass(frozen=True)
 class ContactSoftness(Effect):
     """Time constant of contacts (``solref[0]``): the larger, the softer."""

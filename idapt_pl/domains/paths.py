@@ -45,6 +45,14 @@ class CommandEffect(Effect):
         values[:, columns] = self.law(values[:, columns])
         return Command(command.edges, values)
 
+    @property
+    def constrains(self) -> bool:
+        """Whether a simulation needs something in the model beside the transform."""
+        return False
+
+    def constrain(self, spec: mujoco.MjSpec) -> None:
+        """Write that into the model."""
+
     def law(self, values: np.ndarray) -> np.ndarray:
         """For effects without memory: command to command."""
         raise NotImplementedError
@@ -119,12 +127,20 @@ class SensorDelay(CommandEffect):
 
 @dataclass(frozen=True)
 class ActuatorLag(CommandEffect):
-    """A first-order lag of the command (``dyntype="filterexact"``)."""
+    """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
+
+    A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
+    from the filter's state before, in the middle of or after it.
+    """
 
     name: ClassVar[str] = "actuator_lag"
     time_constant: float = parameter("s", 0.0, 10.0)
+    dead_time: float = parameter("s", -1.0, 10.0, default=0.0)
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        if self.dead_time:
+            late = per_column(command, columns, command.edges + self.dead_time, command.values[:, columns])
+            return ActuatorLag(self.target, self.time_constant).transform(late, columns, step)
         if self.time_constant <= 0:
             return command
         edges = np.arange(command.edges[0], command.edges[-1], step)
@@ -141,6 +157,8 @@ class ActuatorLag(CommandEffect):
         for actuator in elements(spec, "actuators", self.target):
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             actuator.dynprm[0] = self.time_constant
+            if self.dead_time >= spec.option.timestep:
+                ActuatorDelay(actuator.name, self.dead_time).apply(spec)
 
 
 @dataclass(frozen=True)
@@ -187,16 +205,30 @@ class ActuatorRotation(CommandEffect):
 
 @dataclass(frozen=True)
 class ActuatorSaturation(CommandEffect):
-    """Commands are cut off at plus and minus the limit."""
+    """Commands are cut off at plus and minus the limit, and the force (before the gear) at plus and minus its own.
+
+    For a motor one is as good as the other. A servo whose set-point is not limited still has a force that is.
+    """
 
     name: ClassVar[str] = "actuator_saturation"
-    limit: float = parameter("command", 0.0, 1e6)
+    limit: float = parameter("command", 0.0, 1e6, default=1e6)
+    force: float = parameter("N·m or N", 0.0, 1e6, default=1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.clip(values, -self.limit, self.limit)
 
-    def apply(self, spec: mujoco.MjSpec) -> None:
+    @property
+    def constrains(self) -> bool:
+        return self.force < 1e6
+
+    def constrain(self, spec: mujoco.MjSpec) -> None:
         for actuator in elements(spec, "actuators", self.target):
+            actuator.forcelimited, actuator.forcerange = True, (-self.force, self.force)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.constrains:
+            self.constrain(spec)
+        for actuator in elements(spec, "actuators", self.target) if self.limit < 1e6 else ():
             actuator.ctrllimited, actuator.ctrlrange = True, (-self.limit, self.limit)
 
 
@@ -209,8 +241,13 @@ class ForceEffect(Effect):
 
     kind: ClassVar[str] = "joints"
 
+    @property
+    def constrains(self) -> bool:
+        """Whether a simulation needs something in the model beside the force."""
+        return False
+
     def constrain(self, spec: mujoco.MjSpec) -> None:
-        """Write into the model what a simulation needs there beside the force, if anything."""
+        """Write that into the model."""
 
     @abstractmethod
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -229,6 +266,10 @@ class JointStribeck(ForceEffect):
     coulomb: float = parameter("N·m or N", 0.0, 1e6)
     static: float = parameter("N·m or N", 0.0, 1e6)
     speed: float = parameter("rad/s or m/s", 1e-4, 1e3, default=0.1)
+
+    @property
+    def constrains(self) -> bool:
+        return True
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
         for joint in elements(spec, "joints", self.target):
