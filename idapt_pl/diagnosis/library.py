@@ -173,7 +173,9 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
             v = model.jnt_dofadr[j]
             n, s = float(nominal(v)), float(scale(v))
             # what sticks shows little of a small change: dry friction needs larger ones to start from
-            starts = tuple((n + f * s,) for f in (0.3, 1.0, 3.0)) if kind is physics.JointFrictionloss else ()
+            starts = (
+                tuple((n + f * s,) for f in (0.3, 1.0, 3.0, 10.0, 30.0)) if kind is physics.JointFrictionloss else ()
+            )
             singles.append(Candidate(kind, model.joint(j).name, (parameter,), (n,), (s,), starts))
         found += singles + _shared(singles)
     springs, rests = [], []

@@ -242,12 +242,17 @@ class Search:
     def choose_horizon(self) -> int:
         """Control steps in a window: about 0.1 s, or 0.25 s where samples are dense, but at least 5.
 
+        With positions alone 0.25 s at least, and up to 0.5 s where that takes no more than 25 samples: what is not yet
+        known of the velocity then hides what a servo does at first.
+
         Shorter, down to 5, where longer windows are few or the noise of the first state no longer goes through them
         linearly: contacts make them say little. Never longer than half the episodes.
         """
         steps = max(5, round(0.1 / self.dt))
         if self.dt < 0.01 or not self.sim.velocities:
             steps = max(steps, round(0.25 / self.dt))
+        if not self.sim.velocities:
+            steps = max(steps, min(25, round(0.5 / self.dt)))
         steps = int(min(steps, max(2, np.median([len(r) for r in self.sim.data]) // 2)))
         while steps > 5 and not self.informative(steps):
             steps = max(5, steps // 2)

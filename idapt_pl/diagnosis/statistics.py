@@ -67,8 +67,24 @@ def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: b
     for episodes in signals if velocities else signals[:1]:
         rough = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
         rough = np.concatenate(rough) if rough else np.full((1, model.nv), np.inf)
-        parts.append(1.4826 * np.median(np.abs(rough - np.median(rough, 0)), 0) / np.linalg.norm(weights))
+        random = 1.4826 * np.median(np.abs(rough - np.median(rough, 0)), 0) / np.linalg.norm(weights)
+        parts.append(np.maximum(random, rounding_noise(episodes)))
     return parts
+
+
+def rounding_noise(episodes: list[np.ndarray]) -> np.ndarray:
+    """Standard deviation of rounding, where a channel moves in steps of one size (counts of an encoder); else 0.
+
+    A machine at rest shows the same count all the time: it has noise all the same.
+    """
+    steps = np.concatenate([np.abs(np.diff(x, axis=0)) for x in episodes if len(x) > 1])
+    noise = np.zeros(steps.shape[1])
+    for i, moved in enumerate(steps.T):
+        moved = moved[moved > 1e-9]
+        if len(moved) > 20:
+            counts = moved / moved.min()
+            noise[i] = moved.min() / 12**0.5 * (np.mean(np.abs(counts - counts.round()) < 0.05) > 0.95)
+    return noise
 
 
 def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
@@ -87,6 +103,8 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     if not sim.velocities:
         limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
     low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
+    counts = rounding_noise([difference(sim.model, r.qpos[:1], r.qpos) for r in sim.data])
+    low[: len(counts)] = np.maximum(low[: len(counts)], counts)
     sigma = np.clip(likened(sim.model, np.sqrt(variances(A, residual))), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)

@@ -212,7 +212,7 @@ class ActuatorSaturation(CommandEffect):
 
     name: ClassVar[str] = "actuator_saturation"
     limit: float = parameter("command", 0.0, 1e6, default=1e6)
-    force: float = parameter("N·m or N", 0.0, 1e6, default=1e6)
+    force: float = parameter("N·m or N", 1e-6, 1e6, default=1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.clip(values, -self.limit, self.limit)
