@@ -81,31 +81,21 @@ def read_layout(path: Path) -> ModelLayout:
 
     What has no name goes by its number, ``joint0`` and ``actuator0``; an actuator rather by its joint's name.
     """
-    import mujoco
+    from idapt_pl.diagnosis.model import read_model
 
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file; expected the model (MJCF)")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = read_model(path).compile()
     except ValueError as error:
-        raise RecordingError(f"{path}: MuJoCo cannot read the model: {' '.join(str(error).split())}") from None
+        raise RecordingError(str(error)) from None
     joints = tuple(
         JointLayout(
-            model.joint(i).name or f"joint{i}",
+            model.joint(i).name,
             JOINT_TYPES[model.jnt_type[i]],
             tuple(model.jnt_range[i]) if model.jnt_limited[i] else None,
         )
         for i in range(model.njnt)
     )
-    named = [model.actuator(i).name for i in range(model.nu)]
-    driven = [
-        joints[model.actuator_trnid[i, 0]].name
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-        else f"actuator{i}"
-        for i in range(model.nu)
-    ]
-    names = [n or (d if driven.count(d) == 1 and d not in named else f"actuator{i}")
-             for i, (n, d) in enumerate(zip(named, driven, strict=True))]  # fmt: skip
+    names = [model.actuator(i).name for i in range(model.nu)]
     ranges = [tuple(r) if limited else None
               for r, limited in zip(model.actuator_ctrlrange, model.actuator_ctrllimited, strict=True)]  # fmt: skip
     return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges)))

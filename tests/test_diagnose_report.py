@@ -258,7 +258,7 @@ def test_elements_without_a_name_get_one(blocks):
     spec = read_model(blocks)
     assert [j.name for j in spec.joints] == ["joint0", "x"]
     assert [b.name for b in spec.bodies] == ["world", "block", "body2"]
-    assert [a.name for a in spec.actuators] == ["actuator0"]
+    assert [a.name for a in spec.actuators] == ["x"], "an actuator is called like the joint that it alone drives"
 
 
 # --- words ----------------------------------------------------------------------------------------------

@@ -9,7 +9,15 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.data import UnusableData, cut, recordings
 from idapt_pl.diagnosis.search import split_episodes
 from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.statistics import Noise, estimate_noise, initial_sensitivity, whiten, whitener
+from idapt_pl.diagnosis.statistics import (
+    Noise,
+    estimate_noise,
+    initial_sensitivity,
+    likened,
+    rounding_noise,
+    whiten,
+    whitener,
+)
 from idapt_pl.diagnosis.verdict import alike
 from idapt_pl.domains.effects import JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
@@ -146,6 +154,19 @@ def test_noise_is_estimated(right):
     sim, *_ = right
     noise = estimate_noise(sim, (), cut(sim.data, np.arange(12), 2, 2, 200, 0))
     np.testing.assert_allclose(noise.sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
+
+
+def test_a_sensor_that_counts_has_the_noise_of_rounding_even_at_rest():
+    rng, count = np.random.default_rng(0), 2 * np.pi / 4096
+    resting = np.round((np.sin(np.linspace(0, 1, 400)) * (np.arange(400) > 300))[:, None] / count) * count
+    assert rounding_noise([resting]) == pytest.approx(count / 12**0.5)
+    assert rounding_noise([rng.normal(size=(400, 1))]) == 0.0, "no counts, no rounding"
+
+
+def test_no_sensor_is_taken_to_be_much_better_than_others_of_its_kind():
+    model = mujoco.MjModel.from_xml_string(ARM)
+    sigma = likened(model, np.array([1e-3, 1e-9, 1e-2, 2e-2]))
+    assert sigma == pytest.approx([1e-3, 2.5e-4, 1e-2, 2e-2]), "half the median of the kind"
 
 
 def test_noise_is_not_mistaken_for_a_missing_effect():
@@ -317,3 +338,31 @@ def test_what_a_residual_goes_along_with_is_a_share_of_it():
     assert alike(constant, constant * -4e-9) == pytest.approx(-1), "a residual that is the same everywhere"
     assert abs(alike(constant, x)) < 0.1 and abs(alike(x, rng.normal(size=500))) < 0.1
     assert alike(x, constant) == 0 and alike(0 * x, x) == 0
+
+
+LOOSE = ARM.replace(
+    '<joint name="elbow" axis="0 1 0" damping="0.02"/>',
+    '<joint name="elbow" axis="0 1 0" damping="0.02" armature="0.004"/><joint name="slack" axis="0 1 0" limited="true" '
+    'range="-2 2" solreflimit="0.008 1"/>',
+)
+"""The elbow's gear has four degrees of play."""
+
+
+def test_backlash_is_found_by_where_the_link_must_have_been():
+    nominal = ARM.replace(
+        'name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.02" armature="0.004"'
+    )
+    hidden = record(LOOSE, episodes=8, noise=(0.0, 0.0))
+    rng, episodes = np.random.default_rng(1), []
+    for e in hidden:  # what encoders on the links show: the motor's angle and the link's in its play together
+        seen = {}
+        for name, noise in (("qpos", NOISE_Q), ("qvel", NOISE_V)):
+            x = e.observations[name]
+            seen[name] = np.stack([x[:, 0], x[:, 1] + x[:, 2]], 1) + noise * rng.normal(size=(len(x), 2))
+        episodes.append(Episode(e.actions, seen))
+    diagnosis = diagnose(
+        mujoco.MjSpec.from_string(nominal), Trajectories(tuple(episodes), DT),
+        candidates=["joint_backlash", "joint_damping", "joint_frictionloss", "actuator_gain"],
+    )  # fmt: skip
+    first = diagnosis.report["effects"][0]
+    assert (first["effect"], first["target"]) == ("joint_backlash", "elbow")

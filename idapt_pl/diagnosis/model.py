@@ -10,9 +10,7 @@ import mujoco
 
 
 def read_model(path: Path) -> mujoco.MjSpec:
-    """A model as something that effects can edit; joints, bodies and actuators without a name get one.
-
-    Names are those of ``idapt import``: ``joint0``, ``body1``, ``actuator0``.
+    """A model as something that effects can edit; what has no name gets one (:func:`name_elements`).
 
     Raises:
         ValueError: naming the file and what MuJoCo says of it.
@@ -20,24 +18,36 @@ def read_model(path: Path) -> mujoco.MjSpec:
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected the model (MJCF)")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        twin = spec.copy()  # elements have numbers only once compiled
-        model = twin.compile()
-        for kind, of in (("joint", "joints"), ("body", "bodies"), ("actuator", "actuators")):
-            name_all(kind, getattr(spec, of), [e.id for e in getattr(twin, of)])
+        spec = name_elements(mujoco.MjSpec.from_file(str(path)))
     except ValueError as error:
         raise ValueError(f"{path}: MuJoCo cannot read the model: {' '.join(str(error).split())}") from None
-    if not model.nv:
+    if not len(spec.joints):
         raise ValueError(f"{path}: the model has no joints, so nothing in it can move")
     return spec
 
 
-def name_all(kind: str, elements: Sequence[Any], numbers: Sequence[int]) -> None:
-    """Give the nameless elements of a kind a name by their number."""
+def name_elements(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Give joints, bodies and actuators without a name one: ``joint0``, ``body1``, ``actuator0``, by their number.
+
+    An actuator that is alone on its joint is called like the joint instead. Returns ``spec``, which is edited.
+    """
+    twin = spec.copy()  # elements have numbers only once compiled
+    twin.compile()
+    for kind, of in (("joint", "joints"), ("body", "bodies")):
+        numbers = [e.id for e in getattr(twin, of)]
+        name_all(getattr(spec, of), [f"{kind}{n}" for n in numbers])
+    driven = [a.target if a.trntype == mujoco.mjtTrn.mjTRN_JOINT else "" for a in spec.actuators]
+    alone = [bool(d) and driven.count(d) == 1 for d in driven]
+    names = [d if ok else f"actuator{a.id}" for d, ok, a in zip(driven, alone, twin.actuators, strict=True)]
+    name_all(spec.actuators, names)
+    return spec
+
+
+def name_all(elements: Sequence[Any], names: Sequence[str]) -> None:
+    """Give the nameless among some elements these names, longer ones where they are taken."""
     taken = {e.name for e in elements}
-    for e, number in zip(elements, numbers, strict=True):
+    for e, name in zip(elements, names, strict=True):
         if not e.name:
-            name = f"{kind}{number}"
             while name in taken:
                 name += "_"
             e.name = name

@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.confirming import accept, confirm
 from idapt_pl.diagnosis.data import Recording, Windows, recordings
 from idapt_pl.diagnosis.integration import retest_numerics
 from idapt_pl.diagnosis.library import Candidate, library, surroundings
+from idapt_pl.diagnosis.model import name_elements
 from idapt_pl.diagnosis.revision import prune, swap
 from idapt_pl.diagnosis.screening import screening, shortlist
 from idapt_pl.diagnosis.simulator import Effects, Simulator
@@ -89,6 +90,7 @@ def begin(
     settings: Settings = USUAL, progress: Progress = lambda what, share: None, threads: int | None = None,
 ) -> Search:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
+    model = name_elements(model.copy())
     data, velocities = recordings(model.copy().compile(), trajectories)
     fit, hold_out = split_episodes(activity(data), fit, hold_out)
     sim = Simulator(model, data, velocities, threads)
