@@ -2,6 +2,7 @@
 
     python benchmarks/diagnosis.py --seeds 0 1 2            # all cases; finished rows are kept
     python benchmarks/diagnosis.py --cases servo_lag --seeds 0 --baseline
+    python benchmarks/diagnosis.py --positions --seeds 0    # without the velocities
     python benchmarks/diagnosis.py --summary                # the table of what is there
 
 The recordings come from benchmarks/undeclared, which shares no code with the diagnosis. Writes
@@ -16,6 +17,7 @@ import argparse
 import csv
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -28,7 +30,7 @@ from tqdm import tqdm
 
 from benchmarks.undeclared.cases import CASES, Case
 from benchmarks.undeclared.generate import generate
-from datamodules import read_trajectories
+from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import begin
 from idapt_pl.diagnosis.statistics import effects_of
@@ -81,11 +83,19 @@ def estimate(case: Case, physical: list[dict]) -> dict:
     return {"relative_error": round(float(np.mean(errors)), 5), "covered": float(np.mean(covered))}
 
 
-def run(case: Case, seed: int, folder: Path, baseline: bool) -> dict:
+def positions_alone(data: Trajectories) -> Trajectories:
+    """Recordings without their velocities."""
+    kept = [replace(e, observations={k: v for k, v in e.observations.items() if k != "qvel"}) for e in data]
+    return replace(data, episodes=tuple(kept))
+
+
+def run(case: Case, seed: int, folder: Path, o: argparse.Namespace) -> dict:
     """Record, diagnose, score."""
     nominal, measured = generate(case, seed, folder / case.name / f"seed{seed}")
+    data = read_trajectories(measured)
+    data = positions_alone(data) if o.positions else data
     started, used = time.perf_counter(), time.process_time()
-    report = diagnose(mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured), seed=seed).report
+    report = diagnose(mujoco.MjSpec.from_file(str(nominal)), data, seed=seed).report
     seconds, cpu = time.perf_counter() - started, time.process_time() - used
     shown = [f"{e['effect']}({e['target']})" for e in report["effects"]]
     values = [f"{k}={p['estimate']}" for e in report["effects"] for k, p in e["parameters"].items()]
@@ -95,16 +105,16 @@ def run(case: Case, seed: int, folder: Path, baseline: bool) -> dict:
         "truth": " + ".join(f"{t.effect}({t.target})={t.value}" for t in case.truth),
         **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1), "cpu_seconds": round(cpu, 1),
-        **(fit_all_parameters(case, nominal, measured, seed) if baseline else {}),
+        **(fit_all_parameters(case, nominal, data, seed) if o.baseline else {}),
     }  # fmt: skip
 
 
-def fit_all_parameters(case: Case, nominal: Path, measured: Path, seed: int) -> dict:
+def fit_all_parameters(case: Case, nominal: Path, data: Trajectories, seed: int) -> dict:
     """The baseline: every parameter of MJCF that the library knows, fitted at once; the largest change is named.
 
     Changes are compared in units of the library's scales, as a person would compare them with what is usual.
     """
-    search = begin(mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured), seed=seed)
+    search = begin(mujoco.MjSpec.from_file(str(nominal)), data, seed=seed)
     singles = [
         c for c in search.candidates if c.size == 1 and c.target != "*" and c.kind.__module__.endswith("effects")
     ]
@@ -167,18 +177,20 @@ def main() -> None:
     p.add_argument("--cases", nargs="+", choices=sorted(CASES), default=list(CASES), metavar="CASE")
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
     p.add_argument("--baseline", action="store_true", help="also fit all parameters at once")
+    p.add_argument("--positions", action="store_true", help="leave the measured velocities out")
     p.add_argument("--again", action="store_true", help="repeat rows that are there")
     p.add_argument("--summary", action="store_true", help="only print what is there")
     p.add_argument("--data", type=Path, default=ROOT / "runs" / "undeclared")
-    p.add_argument("--out", type=Path, default=ROOT / "results" / "diagnosis.csv")
+    p.add_argument("--out", type=Path, help="default results/diagnosis.csv, or diagnosis_positions.csv")
     o = p.parse_args()
+    o.out = o.out or ROOT / "results" / f"diagnosis{'_positions' * o.positions}.csv"
     rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
     wanted = [(c, s) for s in o.seeds for c in o.cases] if not o.summary else []
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
         if same and not o.again:
             continue
-        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data, o.baseline)]
+        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data, o)]
         write(o.out, rows)
         r = rows[-1]
         errors = f"{r['before']:.3g} -> {r['after']:.3g}"
