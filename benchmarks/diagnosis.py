@@ -30,6 +30,7 @@ from tqdm import tqdm
 
 from benchmarks.undeclared.cases import CASES, Case
 from benchmarks.undeclared.generate import generate
+from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import begin
@@ -39,7 +40,7 @@ from idapt_pl.files import write_atomically
 FIELDS = (
     "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",
     "before", "after", "ceiling", "removed_share", "relative_error", "covered", "class_size", "seconds", "cpu_seconds",
-    "all_parameters_names", "all_parameters_top1", "all_parameters_after",
+    "all_parameters_names", "all_parameters_top1", "all_parameters_after", "commit",
 )  # fmt: skip
 
 
@@ -105,6 +106,7 @@ def run(case: Case, seed: int, folder: Path, o: argparse.Namespace) -> dict:
         "truth": " + ".join(f"{t.effect}({t.target})={t.value}" for t in case.truth),
         **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1), "cpu_seconds": round(cpu, 1),
+        "commit": git_commit()[:7],
         **(fit_all_parameters(case, nominal, data, seed) if o.baseline else {}),
     }  # fmt: skip
 
