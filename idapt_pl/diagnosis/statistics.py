@@ -16,6 +16,9 @@ from idapt_pl.diagnosis.simulator import Effects, Simulator
 Predict = Callable[[Effects], np.ndarray]
 """Whitened residuals under some effects, (n, rows)."""
 
+FAR_OFF = 2.0
+"""Loss above which a step that helped is tried at twice its length."""
+
 HUBER = 4.0
 """Whitened residuals beyond this many sigma count linearly: a few contacts must not decide."""
 
@@ -309,6 +312,13 @@ def gauss_newton(
             damping = max(10 * damping, 1e-2)
         if not improved:
             break
+        while trial_loss > FAR_OFF:  # contacts make slopes steeper than what they lead to: does more help more?
+            further = np.clip(2 * trial - v, low, high)
+            z_further = at(further)
+            further_loss = float(window_loss(z_further).mean())
+            if further_loss >= trial_loss:
+                break
+            trial, z_trial, trial_loss = further, z_further, further_loss
         gain = loss - trial_loss
         v, now, loss, damping = trial, z_trial, trial_loss, damping / 5
         if gain < 1e-4 * loss:
