@@ -90,13 +90,23 @@ def positions_alone(data: Trajectories) -> Trajectories:
     return replace(data, episodes=tuple(kept))
 
 
-def run(case: Case, seed: int, folder: Path, o: argparse.Namespace) -> dict:
-    """Record, diagnose, score."""
-    nominal, measured = generate(case, seed, folder / case.name / f"seed{seed}")
+def record(case: Case, seed: int, o: argparse.Namespace) -> tuple[mujoco.MjSpec, Trajectories]:
+    """The nominal model and the recordings of a case."""
+    nominal, measured = generate(case, seed, o.data / case.name / f"seed{seed}")
     data = read_trajectories(measured)
-    data = positions_alone(data) if o.positions else data
+    return mujoco.MjSpec.from_file(str(nominal)), positions_alone(data) if o.positions else data
+
+
+def only_baseline(case: Case, seed: int, o: argparse.Namespace) -> dict:
+    """The baseline of a case that was diagnosed before."""
+    return fit_all_parameters(case, *record(case, seed, o), seed)
+
+
+def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
+    """Record, diagnose, score."""
+    model, data = record(case, seed, o)
     started, used = time.perf_counter(), time.process_time()
-    report = diagnose(mujoco.MjSpec.from_file(str(nominal)), data, seed=seed).report
+    report = diagnose(model, data, seed=seed).report
     seconds, cpu = time.perf_counter() - started, time.process_time() - used
     shown = [f"{e['effect']}({e['target']})" for e in report["effects"]]
     values = [f"{k}={p['estimate']}" for e in report["effects"] for k, p in e["parameters"].items()]
@@ -107,16 +117,16 @@ def run(case: Case, seed: int, folder: Path, o: argparse.Namespace) -> dict:
         **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1), "cpu_seconds": round(cpu, 1),
         "commit": git_commit()[:7],
-        **(fit_all_parameters(case, nominal, data, seed) if o.baseline else {}),
+        **(fit_all_parameters(case, model, data, seed) if o.baseline else {}),
     }  # fmt: skip
 
 
-def fit_all_parameters(case: Case, nominal: Path, data: Trajectories, seed: int) -> dict:
+def fit_all_parameters(case: Case, model: mujoco.MjSpec, data: Trajectories, seed: int) -> dict:
     """The baseline: every parameter of MJCF that the library knows, fitted at once; the largest change is named.
 
     Changes are compared in units of the library's scales, as a person would compare them with what is usual.
     """
-    search = begin(mujoco.MjSpec.from_file(str(nominal)), data, seed=seed)
+    search = begin(model, data, seed=seed)
     singles = [
         c for c in search.candidates if c.size == 1 and c.target != "*" and c.kind.__module__.endswith("effects")
     ]
@@ -190,12 +200,14 @@ def main() -> None:
     wanted = [(c, s) for s in o.seeds for c in o.cases] if not o.summary else []
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
-        if same and not o.again:
+        bare = o.baseline and same and not same[0]["all_parameters_names"]
+        if same and not o.again and not bare:
             continue
-        rows = [r for r in rows if r not in same] + [run(CASES[name], seed, o.data, o)]
+        row = {**same[0], **only_baseline(CASES[name], seed, o)} if bare else run(CASES[name], seed, o)
+        rows = [r for r in rows if r not in same] + [row]
         write(o.out, rows)
         r = rows[-1]
-        errors = f"{r['before']:.3g} -> {r['after']:.3g}"
+        errors = f"{float(r['before']):.3g} -> {float(r['after']):.3g}"
         print(
             f"{name:32s} {seed} right={r['right']} {r['verdict']:22s} {r['found']} | {r['truth']} | {errors}",
             flush=True,
