@@ -316,7 +316,7 @@ def gauss_newton(
             further = np.clip(2 * trial - v, low, high)
             z_further = at(further)
             further_loss = float(window_loss(z_further).mean())
-            if further_loss >= trial_loss:
+            if further_loss > 0.99 * trial_loss:
                 break
             trial, z_trial, trial_loss = further, z_further, further_loss
         gain = loss - trial_loss
