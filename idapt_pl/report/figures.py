@@ -30,10 +30,10 @@ def returns(record: Record, metric: str) -> str:
         axis.errorbar(x, y, spread, color=AFTER, marker="o", ms=6, lw=1.8, capsize=4, label=label, zorder=3)
         for step, a, b in zip(record.evaluated, x, y, strict=True):
             name = "rolled back" if step.selection.get("rolled_back") else f"step {step.k}" if step.k else "G only"
-            axis.annotate(name, (a, b), (9, -4), textcoords="offset points", ha="left", va="top", fontsize=9)
+            axis.annotate(name, (a, b), (9, 3), textcoords="offset points", ha="left", va="bottom", fontsize=9)
         axis.set_xlim(0, 1.12 * max(x))
         low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.05 * (high - low))
+        axis.set_ylim(low, high + 0.1 * (high - low))
         axis.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         axis.set_xlabel("target interactions used for training (control steps)")
         axis.set_ylabel(f"{metric} in the target")

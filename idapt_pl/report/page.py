@@ -97,12 +97,13 @@ def outcome(record: Record, metric: str) -> str:
         f"idapt {p.get('versions', {}).get('idapt', '?')}",
         str(p.get("device", "device unknown")),
     ]
+    but = " but the oracle" if record.oracle else ""
     return (
         f'<header>\n<p class="small">{escape(c["task"])}, source to {escape(c["target"])}, seed {c["seed"]}; '
         f'{escape(", ".join(made))}</p>\n<h1>{escape(head)}</h1>\n<div class="tiles">{"".join(tiles)}</div>\n'
         + paragraph(
-            f"The {metric} in the target is for evaluation only: nothing in the run was trained or selected on it. "
-            "The method saw the target's images and its own actions.",
+            f"The {metric} in the target is for evaluation only: nothing in the run{but} was trained or selected on "
+            "it. The method saw the target's images and its own actions.",
             "small",
         )
         + "\n</header>"
@@ -133,13 +134,10 @@ def chart(record: Record, metric: str) -> str:
     """Returns against what they cost."""
     if not record.evaluated:
         return ""
-    caption = (
-        "Every point is a policy, at the target interactions that had been used to make it. The oracle's own "
-        "interactions are in the ledger below."
+    caption = "Every point is a policy, at the target interactions that had been used to make it. "
+    caption += (
+        "The oracle's own are in the ledger below." if record.oracle else "There is no oracle; --oracle true adds it."
     )
-    if not record.oracle:
-        caption = "Every point is a policy, at the target interactions that had been used to make it. No oracle: it is "
-        caption += "trained with --oracle true."
     picture = f'<div class="wide">{returns(record, metric)}</div>'
     return section(
         "Against target interactions", f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>"
@@ -170,8 +168,9 @@ def story(record: Record, step: Step, metric: str) -> list[str]:
     now += f", {score(before['mean'], metric)} before" if before else ""
     told.append(f"{now}; in the grounded source: {score(step.evaluation['grounded']['mean'], metric)}.")
     if residual := step.evaluation.get("residual"):
+        which = "the F that was gone back to" if step.selection.get("rolled_back") else "F"
         told.append(
-            f"With F, the grounded source moves {number(residual['after'])} away from the target, without it "
+            f"With {which}, the grounded source moves {number(residual['after'])} away from the target, without it "
             f"{number(residual['before'])}; two halves of the target's own data are {number(residual['noise_floor'])} "
             "apart (energy distance of transitions)."
         )
