@@ -102,6 +102,7 @@ class IterativeGrounding:
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
 
         for k in range(1, self.schedule.grounding_steps + 1):
+            pi_online = pi  # that D_T_k is of
             D_T.append(self.roll_out_target(k, pi))
             D_S.append(self.roll_out_grounded(k, pi, G, F))
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
@@ -113,8 +114,8 @@ class IterativeGrounding:
             if self.schedule.action_transformation:
                 hold_out = self.schedule.rollback
                 F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore, hold_out)
-            if self.makes_it_worse(k, pi, G, F, F_before, D_T[-1]):
-                F = F_before  # and the policy stays as it is
+            if self.makes_it_worse(k, pi_online, G, F, F_before, D_T[-1]):
+                F, pi = F_before, pi_online
             else:
                 pi = self.fit.grounded_policy(k, finetune.policy, G, F, pi)
             self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)

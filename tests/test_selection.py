@@ -223,10 +223,11 @@ def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
 def test_a_step_that_is_rolled_back_leaves_no_policy_and_a_resumed_run_repeats_the_decision(
     tiny_args, finished_run, tmp_path, monkeypatch
 ):
-    run, seen = tmp_path / "run", []
+    run, seen, policies = tmp_path / "run", [], []
 
     def worse(worlds, pi, G, F, F_before, target, seed):
         seen.append((F_before, target))
+        policies.append(pi)
         real = compare(worlds, pi, G, F, F_before, target, seed)
         return real | {"rolled_back": len(seen) == 1}  # the first step is, the second is not
 
@@ -237,6 +238,9 @@ def test_a_step_that_is_rolled_back_leaves_no_policy_and_a_resumed_run_repeats_t
     assert (run / "step_01/dynamics/final.ckpt").exists(), "what was tried is kept for a look at it"
     assert [p.parent.name for _, p in seen] == ["step_01", "step_02"]
     assert [f for f, _ in seen] == [None, None], "the second F is compared with what was gone back to"
+    kept = torch.load(run / "step_00/policy/final.ckpt", weights_only=True)["state_dict"]
+    for policy in policies:  # also its encoder, which the estimator of step 1 had changed
+        assert all(torch.equal(v, kept[k]) for k, v in policy.state_dict().items())
     summary = json.loads((run / "summary.json").read_text())
     assert summary["rolled_back"] == [1] and len(summary["grounded"]) == TINY["schedule.grounding_steps"]
 
