@@ -23,6 +23,7 @@ from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.references import train_oracle
+from idapt_pl.report import write_report
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
@@ -149,5 +150,5 @@ def main(args: list[str]) -> int:
     if cli.config.oracle:
         train_oracle(grounding)
         summary = grounding.evaluation.summary(grounding.schedule.grounding_steps)
-    print_summary(summary, run_dir)
+    print_summary(summary, run_dir, write_report(grounding))
     return 0

@@ -16,6 +16,7 @@ COMMANDS = {
     "collect": "write a trajectory file from a task, domain and policy",
     "gallery": "pictures of all tasks and domains, and a table of what differs",
     "evaluate": "target and source returns of a finished run",
+    "report": "the story of a run, finished or not, as one HTML page",
     "diagnose": "find the physical effects that a model lacks, from recordings",
     "import": "turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file",
     "doctor": "what works on this machine, and how to cure what does not",

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import torch
-
 from cli.fit import GroundingCLI, build
 from idapt_pl.domains import effect_from_dict
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.stage import load_finished
 
 
 def open_run(run: Path) -> IterativeGrounding:
@@ -32,7 +31,7 @@ def open_run(run: Path) -> IterativeGrounding:
 def load_policy(grounding: IterativeGrounding, path: Path) -> AsymmetricSAC:
     """A policy from its checkpoint (weights only, nothing is unpickled)."""
     worlds = grounding.worlds
-    return load(grounding.fit.make.policy(**worlds.dimensions, **worlds.action_bounds), path)
+    return load_finished(grounding.fit.make.policy(**worlds.dimensions, **worlds.action_bounds), path)
 
 
 def load_visual(grounding: IterativeGrounding) -> VisualTransformation:
@@ -45,16 +44,10 @@ def load_visual(grounding: IterativeGrounding) -> VisualTransformation:
     made = sorted(run.glob("step_*/visual/final.ckpt"))
     if not made:
         raise ValueError(f"{run} has no finished visual stage yet; resume it: idapt fit --config {run / 'config.yaml'}")
-    return load(grounding.fit.make.visual(**grounding.worlds.dimensions), made[-1])
+    return load_finished(grounding.fit.make.visual(**grounding.worlds.dimensions), made[-1])
 
 
 def load_estimator(grounding: IterativeGrounding) -> PixelStatePredictor:
     """What estimates states from target images: the newest policy's encoder, where that is an estimator, else P^T."""
     G, made = load_visual(grounding), sorted(grounding.stages.run_dir.glob("step_*/policy/final.ckpt"))
     return load_policy(grounding, made[-1]).estimator(G) if made else G.P_T
-
-
-def load(module, path: Path):
-    """A module with the weights of a checkpoint, ready for use."""
-    module.load_state_dict(torch.load(path, weights_only=True, map_location="cpu")["state_dict"])
-    return module.eval()

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 
-def print_summary(summary: dict, run_dir: Path) -> None:
+def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     """Print the references and every grounding step."""
     table = Table(title=f"{summary['task']}: source -> {summary['target']} (seed {summary['seed']})")
     table.add_column("policy")
@@ -23,4 +23,7 @@ def print_summary(summary: dict, run_dir: Path) -> None:
     console.print(
         f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min"
     )
+    if summary["rolled_back"]:
+        console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
+    console.print(f"the story of the run: {report}", soft_wrap=True)
     console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}", soft_wrap=True)

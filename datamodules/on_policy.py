@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
+from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 
@@ -24,9 +25,18 @@ def encode_all(data: FrameStacks, encode: Encode, chunk: int = 256) -> torch.Ten
     return torch.cat([encode(data.stacks(part)).cpu() for part in np.array_split(every, len(every) // chunk + 1)])
 
 
-def target_transitions(target: Sequence[Path | str], encode: Encode, frame_stack: int) -> Rollout:
-    """Transitions of several trajectory files; each file weighs the same."""
-    files = [encode_transitions(FrameStacks(read_all([p]), frame_stack), encode) for p in target]
+def target_transitions(
+    target: Sequence[Path | str], encode: Encode, frame_stack: int, hold_out: bool = False
+) -> Rollout:
+    """Transitions of several trajectory files; each file weighs the same.
+
+    With ``hold_out`` the pieces of the last file that are held out are left out.
+    """
+    stacks = [FrameStacks(read_all([p]), frame_stack) for p in target]
+    files = [encode_transitions(data, encode) for data in stacks]
+    if hold_out:
+        kept = ~held_out(pieces(stacks[-1]))[stacks[-1].transitions]
+        files[-1] = {name: values[torch.from_numpy(kept)] for name, values in files[-1].items()}
     longest = max(len(t["actions"]) for t in files)
     return {n: torch.cat([t[n][torch.arange(longest) % len(t[n])] for t in files]) for n in files[0]}
 

@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datamodules.on_policy import encode_transitions
-from datamodules.stacks import FrameStacks
-from datamodules.unpaired import read_all
 from idapt_pl.files import write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.pictures import log_scalars, log_video, record, side_by_side
-from idapt_pl.rollout import Act, collect, evaluate
+from idapt_pl.residual import residual
+from idapt_pl.rollout import Act, evaluate
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -123,6 +121,7 @@ class Evaluation:
             return json.loads(path.read_text()) if path.exists() else None
 
         evaluations = [read(k, "evaluation") for k in range(steps + 1)]
+        selections = {k: read(k, "selection") for k in range(1, steps + 1)}
         oracle = read(0, "oracle_evaluation")
         stages = self.stages.timings()
         summary = {
@@ -135,6 +134,7 @@ class Evaluation:
             "oracle": oracle["mean"] if oracle else None,
             "visual_only": evaluations[0]["target"]["mean"],
             "grounded": [e["target"]["mean"] for e in evaluations[1:]],
+            "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
             "target_interactions": self.worlds.ledger.training_total,
             "wall_s": round(sum(s["wall_s"] for s in stages), 1),
             "stages": stages,
@@ -146,48 +146,6 @@ class Evaluation:
 def deterministic(policy: AsymmetricSAC) -> Act:
     """The policy acting with its mean."""
     return lambda pixels: policy.act(pixels, deterministic=True)
-
-
-def energy_distance(x: torch.Tensor, y: torch.Tensor) -> float:
-    """2 E|X-Y| - E|X-X'| - E|Y-Y'|, zero iff the distributions agree (Székely & Rizzo 2013, eq. 2)."""
-
-    def within(z: torch.Tensor) -> float:
-        return float(torch.cdist(z, z).sum() / (len(z) * (len(z) - 1)))
-
-    return 2 * float(torch.cdist(x, y).mean()) - within(x) - within(y)
-
-
-def residual(
-    worlds: Worlds,
-    policy: AsymmetricSAC,
-    G: VisualTransformation,
-    F: ActionTransformation,
-    target: Sequence[Path],
-    seed: int,
-) -> dict[str, float]:
-    """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
-
-    Energy distance on standardised features. The floor is that between the two halves of the target's
-    episodes: what sampling alone gives. The target's images and actions are all it uses.
-    """
-
-    def features(stacks: FrameStacks) -> torch.Tensor:
-        return F.transition_input(encode_transitions(stacks, F.encode))
-
-    def grounded(transform: ActionTransformation | None, steps: int) -> torch.Tensor:
-        with closing(worlds.grounded(1, G, transform)) as env:
-            return features(FrameStacks(collect(env, policy.act, steps, seed, ""), worlds.frame_stack))
-
-    trajectories = read_all(target)
-    real = features(FrameStacks(trajectories, worlds.frame_stack))
-    lengths = np.array([len(e) for e in trajectories])
-    first_half = np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
-    floor = energy_distance(real[first_half], real[~first_half]) if 0 < first_half.sum() < len(real) else float("nan")
-    return {
-        "before": round(energy_distance(grounded(None, len(real)), real), 4),
-        "after": round(energy_distance(grounded(F, len(real)), real), 4),
-        "noise_floor": round(floor, 4),
-    }
 
 
 @torch.no_grad()

@@ -22,6 +22,7 @@ from datamodules import (
     UnpairedImages,
 )
 from datamodules.on_policy import encode_all, target_transitions
+from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
@@ -134,8 +135,12 @@ class Fitting:
         G: VisualTransformation,
         initial: ActionTransformation | None,
         explore: Callable[[int, int], Act],
+        hold_out: bool = False,
     ) -> ActionTransformation:
-        """F with GARAT: grounded rollouts of ``policy`` (and of ``explore``) against the target's transitions."""
+        """F with GARAT: grounded rollouts of ``policy`` (and of ``explore``) against the target's transitions.
+
+        ``hold_out`` keeps a share of the newest target file away from F, for :mod:`idapt_pl.selection`.
+        """
 
         def build() -> ActionTransformation:
             module = self.make.dynamics(encoder=copy.deepcopy(policy.actor.encoder), **self.worlds.action_bounds)
@@ -156,17 +161,17 @@ class Fitting:
                 explore(seed, n),
                 round(self.feeding.garat_exploring * n),
             )
-            transitions = target_transitions(target, F.encode, self.worlds.frame_stack)
+            transitions = target_transitions(target, F.encode, self.worlds.frame_stack, hold_out)
             if initial is None and self.feeding.garat_start == "matching":
                 F.standardise(transitions)
-                self.match(F.cpu(), target)
+                self.match(F.cpu(), target, hold_out)
                 F.to(device)
             return OnPolicyDataModule(roll, transitions, rollouts)
 
         return self.stages.fit(step, "dynamics", build, feed, rollouts)
 
-    def match(self, F: ActionTransformation, target: Sequence[Path]) -> None:
-        """Give F a start by trajectory matching."""
+    def match(self, F: ActionTransformation, target: Sequence[Path], hold_out: bool = False) -> None:
+        """Give F a start by trajectory matching, without what is held out of the newest file."""
         if not isinstance(F.encoder, PixelStatePredictor):
             raise ValueError(
                 "feeding.garat_start: matching needs features that are states, i.e. policy.encoder: supervised; "
@@ -177,8 +182,15 @@ class Fitting:
         states = (encode_all(data, F.encode) * f.std + f.mean).detach()
         actions = torch.zeros(len(data), data.actions.shape[1])
         actions[data.transitions] = torch.from_numpy(data.actions)
-        model = self.worlds.source_domain.compile()
-        left = start_from_matching(F, self.worlds.task, model, states, actions, data.first, self.feeding.garat_ridge)
+        stretch, kept = data.first, np.ones(len(data), bool)
+        if hold_out:
+            piece = pieces(FrameStacks(read_all(target[-1:]), self.worlds.frame_stack))
+            newest = np.arange(len(data)) >= len(data) - len(piece)
+            stretch = np.concatenate([data.first[~newest], len(data) + piece])  # windows must not cross a gap
+            kept[newest] = ~held_out(piece)
+        task, model = self.worlds.task, self.worlds.source_domain.compile()
+        seen = states[kept], actions[kept], stretch[kept]
+        left = start_from_matching(F, task, model, *seen, self.feeding.garat_ridge)
         log.info(
             "F by trajectory matching: %s; left %.3g",
             F.affine.weight.detach().flatten().numpy().round(3).tolist(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,9 @@ from idapt_pl.domains import effect_from_dict
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Fitting
 from idapt_pl.rollout import EXPLORATION, Act, collect
+from idapt_pl.selection import compare, in_words
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,9 @@ class Schedule:
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
         accumulate: train P^S and G on all data so far; else on the newest alone.
+        rollback: go on with the F and the policy of the step before where the new F makes the grounded source clearly
+            less like the target, by a fifth of the target's images and actions that it was not fitted to. No reward
+            of the target takes part.
     """
 
     grounding_steps: int = 5
@@ -61,6 +68,7 @@ class Schedule:
     finetune: Lengths = field(default_factory=lambda: Lengths(625, 5000, 10_000, 10))
     action_transformation: bool = True
     accumulate: bool = False
+    rollback: bool = False
 
 
 NOTHING = Discovery(discover=False)
@@ -94,6 +102,7 @@ class IterativeGrounding:
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
 
         for k in range(1, self.schedule.grounding_steps + 1):
+            pi_online = pi  # that D_T_k is of
             D_T.append(self.roll_out_target(k, pi))
             D_S.append(self.roll_out_grounded(k, pi, G, F))
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
@@ -101,9 +110,14 @@ class IterativeGrounding:
             pi = self.fit.estimator(k, self.recent(D_S), finetune.estimator, G, pi)
             if self.repair_source(k, D_T, None, G, pi):
                 F = None  # it was F of another source
+            F_before, pi_before = F, pi
             if self.schedule.action_transformation:
-                F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore)
-            pi_before, pi = pi, self.fit.grounded_policy(k, finetune.policy, G, F, pi)
+                hold_out = self.schedule.rollback
+                F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore, hold_out)
+            if self.makes_it_worse(k, pi_online, G, F, F_before, D_T[-1]):
+                F, pi = F_before, pi_online
+            else:
+                pi = self.fit.grounded_policy(k, finetune.policy, G, F, pi)
             self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)
 
         return self.evaluation.summary(self.schedule.grounding_steps)
@@ -142,6 +156,14 @@ class IterativeGrounding:
         found = [effect_from_dict(e) for e in self.stages.measure(k, "effects", make)["effects"]]
         self.worlds.repair(found)
         return bool(found)
+
+    def makes_it_worse(self, k: int, pi, G, F, F_before, D_T: Path) -> bool:
+        """Whether the target's images and actions that were held out of F say that it is clearly worse than before."""
+        if not self.schedule.rollback or F is F_before:
+            return False
+        decision = self.stages.measure(k, "selection", lambda seed: compare(self.worlds, pi, G, F, F_before, D_T, seed))
+        log.info("step %d  %s", k, in_words(decision))
+        return decision["rolled_back"]
 
     def explore(self, seed: int, num_envs: int = 1) -> Act:
         """The task-agnostic policy."""

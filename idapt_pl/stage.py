@@ -29,6 +29,12 @@ def stage_seed(seed: int, step: int, name: str) -> int:
     return zlib.crc32(f"{seed}/{step}/{name}".encode()) % 2**31
 
 
+def load_finished(module: Module, checkpoint: Path) -> Module:
+    """A module with the weights that its stage ended with, ready for use (weights only, nothing is unpickled)."""
+    module.load_state_dict(torch.load(checkpoint, weights_only=True, map_location="cpu")["state_dict"])
+    return module.eval()
+
+
 class Stages:
     """Runs stages inside a run folder, ``RUN/step_<k>/<name>/``; a stage that is done is loaded instead.
 
@@ -68,8 +74,7 @@ class Stages:
         final = folder / "final.ckpt"
         if final.exists():
             log.info("step %d  %-16s done before, loaded from %s", step, name, final)
-            module.load_state_dict(torch.load(final, weights_only=True, map_location="cpu")["state_dict"])
-            return module.eval()
+            return load_finished(module, final)
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
         started = time.perf_counter()
         if batches:

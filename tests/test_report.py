@@ -1,0 +1,177 @@
+"""The page about a run: the whole story from the folder alone, also where pieces of it are missing."""
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from conftest import TINY, numbered_episodes
+
+from cli.main import main
+from datamodules import write_trajectories
+from idapt_pl.report.pictures import shown, stacks
+from idapt_pl.report.record import read_record
+from idapt_pl.worlds import Worlds
+
+STEPS = TINY["schedule.grounding_steps"]
+
+
+class Page(HTMLParser):
+    """Visible text, pictures, and everything that a browser would fetch."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.words, self.pictures, self.fetched, self._style = [], [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self._style = tag == "style"
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href") and not value.startswith("#"):
+                (self.pictures if value.startswith("data:") else self.fetched).append(value)
+        if tag in ("script", "link", "iframe"):
+            self.fetched.append(tag)
+
+    def handle_data(self, data):
+        if not self._style:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def report(run):
+    """``idapt report`` of a run folder."""
+    assert main(["report", "--run", str(run)]) == 0
+    return Page((run / "report.html").read_text())
+
+
+@pytest.fixture
+def copied(finished_run, tmp_path):
+    shutil.copytree(finished_run, tmp_path / "run")
+    (tmp_path / "run/report.html").unlink()
+    return tmp_path / "run"
+
+
+def test_fit_leaves_a_page_that_needs_nothing_beside_it(finished_run):
+    text = (finished_run / "report.html").read_text()
+    page = Page(text)
+    assert page.fetched == [] and "@import" not in text and "url(http" not in text
+    kinds = [p.split(";")[0] for p in page.pictures]
+    assert kinds.count("data:image/png") == 12 * (STEPS + 1) and kinds.count("data:image/gif") == STEPS + 1
+
+
+def test_the_page_tells_what_was_measured_and_that_it_was_not_selected_on(finished_run):
+    text = Page((finished_run / "report.html").read_text()).text
+    summary = json.loads((finished_run / "summary.json").read_text())
+    for value in (summary["direct_transfer"], summary["visual_only"], *summary["grounded"]):
+        assert f"{value:.1f} ±" in text
+    assert "evaluation only: nothing in the run was trained or selected on it" in text
+    assert f"Target interactions: {summary['target_interactions']}" in text.replace(",", "")
+    for k in range(STEPS + 1):
+        assert f"Step {k}:" in text
+    assert "inverted_pendulum, source to hard, seed 3" in text and "not trained oracle" in text
+
+
+def test_the_page_is_made_from_the_folder_without_a_target_and_is_the_same_each_time(copied, finished_run, monkeypatch):
+    def forbidden(*args):
+        raise AssertionError("the report makes no target")
+
+    monkeypatch.setattr(Worlds, "rewarded_target", forbidden)
+    report(copied)
+    assert (copied / "report.html").read_text() == (finished_run / "report.html").read_text()
+
+
+def test_returns_stand_at_the_interactions_that_their_policy_had_cost(finished_run):
+    used = [s.interactions for s in read_record(finished_run).steps]
+    images, more = TINY["schedule.images"], TINY["schedule.interactions"]
+    assert used == [images + k * more for k in range(STEPS + 1)]
+
+
+def test_a_killed_run_has_a_page_too_which_says_how_to_go_on(copied):
+    last = copied / f"step_{STEPS:02d}"
+    for name in ("evaluation.json", "policy_in_grounded_and_target.gif"):
+        (last / name).unlink()
+    shutil.rmtree(last / "policy")
+    for name in ("summary.json", "run.json"):
+        (copied / name).unlink()
+    text = report(copied).text
+    assert f"{STEPS} of {STEPS + 1} steps are done" in text and f"idapt fit --config {copied}" in text
+    assert "This step did not end: there is no evaluation. Finished in it: source, target" in text
+    assert "run.json is missing" in text
+
+
+def test_a_run_that_has_hardly_begun_has_a_page(copied):
+    for folder in copied.glob("step_*"):
+        shutil.rmtree(folder)
+    (copied / "ledger.json").unlink()
+    text = report(copied).text
+    assert "No step has been evaluated yet" in text and "None has been made yet" in text
+
+
+def test_damaged_files_are_named_and_the_rest_is_told(copied):
+    (copied / "step_01/evaluation.json").write_text('{"target": ')
+    (copied / "step_00/target.h5").write_bytes(b"not an HDF5 file")
+    (copied / "step_02/visual/final.ckpt").write_bytes(b"short")
+    text = report(copied).text
+    assert "cannot be read and are left out: step_01/evaluation.json" in text
+    assert len(re.findall("No pictures: ", text)) == 2 and "target.h5: not a readable HDF5 file" in text
+
+
+def test_rollback_effects_and_the_oracle_are_told(copied):
+    low, high = 0.5, 0.7
+    decision = {"before": 0.1, "after": 0.7, "worse_by": 0.6, "ci95": [low, high], "rolled_back": True,
+                "held_out_steps": 194}  # fmt: skip
+    parameters = {"mass": {"nominal": 4.9, "estimate": 187.3, "ci95": [180.1, 194.2], "unit": "kg"}}
+    armature = {"armature": {"nominal": 0.0, "estimate": 3.0, "ci95": [2.0, 4.0], "unit": "kg·m² or kg"}}
+    added = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 187.3}}
+    effects = {
+        "effects": [added],
+        "estimates": [
+            added | {"parameters": parameters},
+            {"effect": "joint_armature", "target": "hinge", "parameters": armature},
+        ],
+    }
+    (copied / "step_01/selection.json").write_text(json.dumps(decision))
+    (copied / "step_02/effects.json").write_text(json.dumps(effects))
+    (copied / "step_00/oracle_evaluation.json").write_text(json.dumps({"mean": 987.0, "std": 1.0}))
+    text = report(copied).text
+    assert "F is rolled back: it is clearly worse" in text and "+0.5 to +0.7" in text
+    assert "mass of body pole mass 187 180 to 194 kg added to the source" in text
+    assert "not believed: it may be an error of the estimator" in text
+    assert "987 ± 1.0 oracle" in text
+
+
+def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):
+    assert main(["report", "--run", str(tmp_path)]) == 1
+    printed = capsys.readouterr()
+    assert "is not a run folder: it has no config.yaml" in printed.err and "Traceback" not in printed.err
+
+
+# --- pictures -------------------------------------------------------------------------------------------
+
+
+def test_stacks_are_spread_over_the_file_and_stay_within_episodes(tmp_path):
+    write_trajectories(tmp_path / "d.h5", numbered_episodes([4] * 20))
+    seen = stacks(tmp_path / "d.h5", 10, 3)
+    assert seen.shape == (10, 3, 8, 8, 3)
+    episode, time = seen[:, :, 0, 0, 0].astype(int), seen[:, :, 0, 0, 1].astype(int)
+    assert (episode == episode[:, :1]).all() and (np.diff(episode[:, 0]) > 0).all()
+    assert (time == np.maximum(time[:, -1:] + [-2, -1, 0], 0)).all()
+
+
+def test_the_real_frame_beside_a_translation_is_the_one_most_like_it(tmp_path):
+    write_trajectories(tmp_path / "d.h5", numbered_episodes([4] * 20))
+
+    class Identity:
+        frames = 1
+
+        def translate(self, pixels):
+            return pixels
+
+    seen = shown(tmp_path / "d.h5", tmp_path / "d.h5", Identity())
+    assert np.array_equal(seen.source, seen.translated)
+    assert np.abs(seen.target.astype(int) - seen.translated).max() <= 1, "of 100 frames all but a few are looked at"
