@@ -28,7 +28,7 @@ class Teacher:
     Args:
         steps: environment steps of the teacher's SAC in the source, where states are free; 0 is no teacher, the paper.
         adapt: environment steps for which it goes on whenever the dynamics have become other ones: in the grounded
-            source with F, or in a repaired source.
+            source with F, or in a repaired source. 0 leaves it as it was. Either comes after the warm-up of its recipe.
         dagger: environment steps of DAgger (Ross et al. 2011) at the beginning of every policy stage. The policy's own
             SAC follows, as long as the schedule says; 0 leaves the student as it is.
         fading: share of these over which the teacher's share of the actions falls from 1 to 0.
