@@ -26,6 +26,7 @@ from idapt_pl.references import train_oracle
 from idapt_pl.report import write_report
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.teaching import Teacher
 from idapt_pl.worlds import Worlds
 
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
@@ -78,6 +79,7 @@ class GroundingCLI(LightningCLI):
         parser.add_class_arguments(Schedule, "schedule")
         parser.add_class_arguments(Discovery, "effects")
         parser.add_class_arguments(Feeding, "feeding")
+        parser.add_class_arguments(Teacher, "teacher")
         parser.add_class_arguments(Vision, "vision")
         for name, module in MODULES.items():
             parser.add_class_arguments(
@@ -123,7 +125,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}
     for name in ("state_predictor", "visual", "policy"):
         factories[name] = functools.partial(factories[name], vision=config.vision)
-    fitting = Fitting(worlds, stages, Factories(**factories), config.feeding)
+    fitting = Fitting(worlds, stages, Factories(**factories), config.feeding, config.teacher)
     evaluation = Evaluation(worlds, stages, config.episodes, config.target)
     return IterativeGrounding(fitting, evaluation, config.schedule, config.effects), run_dir
 

@@ -70,7 +70,7 @@ class _ActAndSample(IterableDataset):
         m = self.module
         for _ in range(m.batches):
             m.buffer.add(m.act())
-            batch = {"transitions": m.buffer.sample(m.updates_per_batch, m.batch_size, names=TRANSITION)}
+            batch = {"transitions": m.buffer.sample(m.updates_per_batch, m.batch_size, names=m.names)}
             if m.image_batches:
                 batch["images"] = m.buffer.sample(m.image_batches, m.image_batch_size, names=("pixels", "state"))
             yield batch
@@ -87,6 +87,7 @@ class ReplayDataModule(L.LightningDataModule):
         batches: length of an epoch.
         image_batches: minibatches of images with states in a batch, 0 for none.
         image_batch_size: images in one of them.
+        names: what a minibatch holds.
     """
 
     def __init__(
@@ -98,9 +99,10 @@ class ReplayDataModule(L.LightningDataModule):
         batches: int,
         image_batches: int = 0,
         image_batch_size: int = 32,
+        names: Sequence[str] = TRANSITION,
     ) -> None:
         super().__init__()
-        self.act, self.buffer = act, buffer
+        self.act, self.buffer, self.names = act, buffer, names
         self.image_batches, self.image_batch_size = image_batches, image_batch_size
         self.batch_size, self.updates_per_batch, self.batches = batch_size, updates_per_batch, batches
 

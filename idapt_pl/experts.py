@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules import StateSAC
-from idapt_pl.rollout import Act, Experience, Returns, evaluate
+from idapt_pl.rollout import Act, Experience, Returns, VectorEnv, evaluate
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import Task
 
@@ -54,20 +55,38 @@ def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stage
     env = VectorStateEnv(task, domain, recipe.num_envs)
     low, high = (bound.tolist() for bound in (env.single_action_space.low, env.single_action_space.high))
     state_dim = env.single_observation_space["state"].shape[0]
+    with closing(env):
+        build = lambda: StateSAC(state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
+        return fit_expert(build, lambda device: env, recipe, stages, 0, name)
+
+
+def fit_expert(
+    build: Callable[[], StateSAC],
+    make_env: Callable[[torch.device], VectorEnv],
+    recipe: ExpertRecipe,
+    stages: Stages,
+    step: int,
+    name: str,
+    fresh: bool = True,
+) -> StateSAC:
+    """SAC on states in an environment whose ``pixels`` are its states, as one stage.
+
+    A policy that is not ``fresh`` goes on from what it knows: it warms up with its own actions and keeps its scale.
+    """
 
     def feed(module: StateSAC, seed: int, device: torch.device) -> ReplayDataModule:
+        env = make_env(device)
         buffer = ReplayBuffer(recipe.warmup_steps + recipe.steps + recipe.num_envs, seed)
-        warm_up = Experience(env, module, seed, random=True)
+        warm_up = Experience(env, module, seed, random=fresh)
         for _ in range(math.ceil(recipe.warmup_steps / recipe.num_envs)):
             buffer.add(warm_up())
-        module.actor.encoder.fit(buffer.sample(buffer.size, names=("state",))["state"].to(device))
+        if fresh:
+            module.actor.encoder.fit(buffer.sample(buffer.size, names=("state",))["state"].to(device))
         updates = round(recipe.updates_per_step * recipe.num_envs)
         act = Experience(env, module, seed + 1)
         return ReplayDataModule(act, buffer, recipe.batch, updates, recipe.steps // recipe.num_envs)
 
-    with closing(env):
-        build = lambda: StateSAC(state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
-        return stages.fit(0, name, build, feed, recipe.steps // recipe.num_envs)
+    return stages.fit(step, name, build, feed, recipe.steps // recipe.num_envs)
 
 
 def measure(policy: StateSAC, task: Task, domain: Domain, episodes: int, seed: int) -> Returns:

@@ -30,6 +30,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rollout import Act, Experience, VectorEnv, garat_rollout
 from idapt_pl.shooting import start_from_matching
 from idapt_pl.stage import Stages
+from idapt_pl.teaching import NO_TEACHER, Teacher, Teaching
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
@@ -83,8 +84,12 @@ class Feeding:
 class Fitting:
     """One method for each kind of stage; data come in and a fitted module goes out."""
 
-    def __init__(self, worlds: Worlds, stages: Stages, make: Factories, feeding: Feeding) -> None:
-        self.worlds, self.stages, self.make, self.feeding = worlds, stages, make, feeding
+    def __init__(
+        self, worlds: Worlds, stages: Stages, make: Factories, feeding: Feeding, teacher: Teacher = NO_TEACHER
+    ) -> None:
+        self.worlds, self.stages, self.make, self.feeding, self.teacher = worlds, stages, make, feeding, teacher
+        f = feeding
+        self.teaching = Teaching(worlds, stages, teacher, f.num_envs, f.policy_batch, f.buffer_size)
 
     def state_predictor(
         self,
@@ -234,11 +239,6 @@ class Fitting:
         f = self.feeding
         fresh = isinstance(initial, PixelStatePredictor)
 
-        def build() -> AsymmetricSAC:
-            module = self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)
-            module.start_from(initial) if fresh else module.load_state_dict(initial.state_dict())
-            return module
-
         def feed(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
             if familiar:
                 module.know(torch.from_numpy(FrameStacks(read_all(familiar), 1, labels="state").labels).to(device))
@@ -258,24 +258,39 @@ class Fitting:
                 image_batch_size=module.hparams.estimator_batch,
             )
 
-        return self.stages.fit(step, name, build, feed, steps // f.num_envs)
+        return self.stages.fit(step, name, lambda: self.build_policy(initial), feed, steps // f.num_envs)
+
+    def build_policy(self, initial: AsymmetricSAC | PixelStatePredictor) -> AsymmetricSAC:
+        """A policy as it was, or a new one with an encoder from a predictor."""
+        module = self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)
+        if isinstance(initial, PixelStatePredictor):
+            module.start_from(initial)
+        else:
+            module.load_state_dict(initial.state_dict())
+        return module
 
     def source_policy(self, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
-        """π by SAC in the plain source: where everything starts, and the reference for direct transfer.
+        """π by SAC (or first a teacher) in the plain source: where everything starts, and what is transferred directly.
 
         ``source`` are the task-agnostic data, which tell π and its successors what states are familiar.
         """
         make_env = lambda device: self.worlds.source(self.feeding.num_envs)  # noqa: E731
-        return self.policy(0, "source_policy", make_env, steps, P_S.P_S, source)
+        initial: AsymmetricSAC | PixelStatePredictor = P_S.P_S
+        if self.teacher.steps:
+            initial = self.teaching.student(0, "source_", lambda: self.build_policy(P_S.P_S), make_env)
+        return self.policy(0, "source_policy", make_env, steps, initial, source)
 
     def grounded_policy(
         self, step: int, steps: int, G: VisualTransformation, F: ActionTransformation | None, initial: AsymmetricSAC
     ) -> AsymmetricSAC:
-        """π by SAC in the source seen through G and moved through F."""
+        """π by SAC (or first a teacher) in the source seen through G and moved through F."""
+        before = initial
 
         def make_env(device: torch.device) -> VectorEnv:
             return self.worlds.grounded(self.feeding.num_envs, G.to(device), F.to(device) if F is not None else None)
 
+        if self.teacher.steps:
+            initial = self.teaching.student(step, "", lambda: self.build_policy(before), make_env, F)
         return self.policy(step, "policy", make_env, steps, initial)
 
 

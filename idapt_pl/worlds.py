@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from idapt_pl.domains import WHOLE, Domain, Effect, View
-from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv
+from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv, VectorStateEnv
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
 from idapt_pl.tasks import Task
@@ -35,6 +35,10 @@ class Worlds:
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
         return VectorImageEnv(self.task, self.source_domain, num_envs, self.image_size, self.frame_stack, self.view)
+
+    def source_states(self, num_envs: int) -> VectorStateEnv:
+        """The source: state and reward; nothing is rendered."""
+        return VectorStateEnv(self.task, self.source_domain, num_envs)
 
     def grounded(
         self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None

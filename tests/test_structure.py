@@ -78,6 +78,12 @@ def test_only_evaluation_and_references_reach_the_targets_reward():
     }
 
 
+def test_the_teacher_knows_no_target():
+    forbidden = {"rewarded_target", "blind_target", "target_domain", "BlindTarget"}
+    for name in ("teaching.py", "experts.py", "modules/imitation.py"):
+        assert not forbidden & names_used(ROOT / "idapt_pl" / name)
+
+
 def test_algorithm_1_branches_on_no_stage_name():
     stages = {"state_predictor", "visual", "dynamics", "policy", "source_policy"}
     for node in ast.walk(ast.parse((ROOT / "idapt_pl/grounding.py").read_text())):

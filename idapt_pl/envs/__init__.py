@@ -2,7 +2,7 @@
 
 from idapt_pl.envs.grounded_env import GroundedEnv
 from idapt_pl.envs.image_env import VectorImageEnv
-from idapt_pl.envs.state_env import VectorStateEnv
+from idapt_pl.envs.state_env import StatesOnly, VectorStateEnv
 from idapt_pl.envs.target_env import BlindTarget
 
-__all__ = ["BlindTarget", "GroundedEnv", "VectorImageEnv", "VectorStateEnv"]
+__all__ = ["BlindTarget", "GroundedEnv", "StatesOnly", "VectorImageEnv", "VectorStateEnv"]

@@ -1,4 +1,4 @@
-"""A task in a domain without images, for what trains on states: experts and bounds."""
+"""Environments for what trains on states: experts, teachers and bounds."""
 
 from __future__ import annotations
 
@@ -37,3 +37,24 @@ class VectorStateEnv(VectorImageEnv):
     def _observe(self) -> dict[str, np.ndarray]:
         states = super()._observe()["state"]
         return {"pixels": states, "state": states}
+
+
+class StatesOnly(gymnasium.vector.VectorWrapper):
+    """An environment that goes on rendering for itself but shows its states in place of ``pixels``.
+
+    What trains on states so trains in the grounded source, whose F needs the images.
+    """
+
+    def reset(self, **kwargs):
+        obs, infos = self.env.reset(**kwargs)
+        return self._show(obs), infos
+
+    def step(self, actions: np.ndarray):
+        obs, rewards, terminations, truncations, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            infos = {**infos, "final_obs": self._show(infos["final_obs"])}
+        return self._show(obs), rewards, terminations, truncations, infos
+
+    @staticmethod
+    def _show(obs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"pixels": obs["state"], "state": obs["state"]}

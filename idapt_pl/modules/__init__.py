@@ -1,9 +1,17 @@
 """The LightningModules: one for each thing that is learned."""
 
 from idapt_pl.modules.dynamics import ActionTransformation
+from idapt_pl.modules.imitation import Imitation
 from idapt_pl.modules.policy import AsymmetricSAC
 from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.modules.state_predictor import StatePredictor
 from idapt_pl.modules.visual import VisualTransformation
 
-__all__ = ["ActionTransformation", "AsymmetricSAC", "StatePredictor", "StateSAC", "VisualTransformation"]
+__all__ = [
+    "ActionTransformation",
+    "AsymmetricSAC",
+    "Imitation",
+    "StatePredictor",
+    "StateSAC",
+    "VisualTransformation",
+]

@@ -40,11 +40,15 @@ class ImageActor(nn.Module):
 
     def forward(self, features: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor]:
         """Action in physical units (n, nu) and its log-probability density on (-1, 1)^nu, (n,)."""
+        normal = self.distribution(features)
+        u = normal.mean if deterministic else normal.rsample()
+        return self.center + self.half_range * torch.tanh(u), squashed_log_prob(normal.log_prob(u), u)
+
+    def distribution(self, features: Tensor) -> torch.distributions.Normal:
+        """What is squashed by tanh and scaled to the bounds, (n, nu)."""
         mean, log_std = self.head(features).float().chunk(2, -1)
         log_std = -5.0 + 3.5 * (1.0 + torch.tanh(log_std))  # in [-5, 2]
-        normal = torch.distributions.Normal(mean, log_std.exp())
-        u = mean if deterministic else normal.rsample()
-        return self.center + self.half_range * torch.tanh(u), squashed_log_prob(normal.log_prob(u), u)
+        return torch.distributions.Normal(mean, log_std.exp())
 
     def normalise(self, actions: Tensor) -> Tensor:
         """Actions in physical units to -1..1."""
@@ -208,13 +212,16 @@ class AsymmetricSAC(ManualModule):
         self.log_at(index, metrics | self.trainer.datamodule.progress())
 
     def estimator_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Regress f(o) on the standardised source state, L1."""
-        f = self.actor.encoder
-        with fast_precision(self.device, self.hparams.bf16):
-            images = jitter(stack_channels(batch["pixels"]), self.hparams.estimator_jitter)
-            loss = f.error(images, batch["state"])
+        """Regress f(o) on the source state."""
+        loss = self.estimator_loss(batch)
         self.descend(self.optimizers()[3], loss)
         return {"policy/state_error": loss.detach()}
+
+    def estimator_loss(self, batch: dict[str, Tensor]) -> Tensor:
+        """L1 between f(o) of a batch's ``pixels`` and its standardised ``state``."""
+        with fast_precision(self.device, self.hparams.bf16):
+            images = jitter(stack_channels(batch["pixels"]), self.hparams.estimator_jitter)
+            return self.actor.encoder.error(images, batch["state"])
 
     def features(self, remembered: Tensor) -> Tensor:
         """f(o) of what replay keeps; images are cropped at random."""

@@ -1,0 +1,221 @@
+"""The privileged teacher: labels, learning from them, going on from them, and what a run with it leaves."""
+
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from conftest import TINY
+
+from cli.collect import plain_trainer
+from cli.main import main
+from datamodules import ReplayBuffer, ReplayDataModule
+from idapt_pl import experts
+from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv
+from idapt_pl.experts import ExpertRecipe
+from idapt_pl.ledger import Ledger
+from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
+from idapt_pl.stage import Stages
+from idapt_pl.teaching import LESSON, Lessons, Teacher, Teaching, hand_over_critics, label
+from idapt_pl.worlds import Worlds
+
+SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
+
+
+def image_policy(**kwargs):
+    return AsymmetricSAC(**SIZES, image_size=16, frame_stack=2, bf16=False, **kwargs)
+
+
+@pytest.fixture
+def teacher():
+    policy = StateSAC(**SIZES)
+    policy.actor.encoder.fit(torch.tensor([[-0.3, -2.0], [0.3, 2.0]]))
+    policy.actor.head[-1].weight.data[:1] *= 3  # so that it means something
+    return policy
+
+
+@pytest.fixture
+def env(cart):
+    env = GroundedEnv(VectorImageEnv(cart, cart.domain("source"), 2, 16, 2))
+    yield env
+    env.close()
+
+
+def test_labels_are_what_the_teacher_does_on_the_true_states(env, teacher):
+    lessons = Lessons(env, image_policy(encoder="supervised"), teacher, seed=0, fading=5, images=True)
+    for _ in range(8):
+        lesson = lessons()
+        expected = teacher.act(lesson["state"], deterministic=True)
+        np.testing.assert_allclose(100 * lesson["label"], expected, rtol=1e-5)
+        assert lesson["pixels"].shape == (2, 2, 16, 16, 3) and lesson["observation"].shape == (2, 2)
+
+
+def test_the_teacher_acts_first_and_the_student_last(env, teacher, monkeypatch):
+    student = image_policy()
+    monkeypatch.setattr(teacher, "act", lambda states, **_: np.full((2, 1), 7.0, np.float32))
+    monkeypatch.setattr(student, "act_on", lambda seen: np.full((2, 1), -7.0, np.float32))
+    played, step = [], env.step
+    monkeypatch.setattr(env, "step", lambda actions: played.append(actions.copy()) or step(actions))
+    lessons = Lessons(env, student, teacher, seed=0, fading=20, images=False)
+    for _ in range(40):
+        assert set(lessons()) == set(LESSON)
+    played = np.asarray(played)
+    assert (played[0] == 7).all() and (played[21:] == -7).all() and lessons.share == 0
+    assert set(np.unique(played[5:15])) == {-7.0, 7.0}, "in between it is either"
+
+
+class SameLessons:
+    """Gives the same few lessons again and again."""
+
+    share, recent_return = 0.25, 0.0
+
+    def __init__(self, lessons, calls=8):
+        given = [lessons() for _ in range(calls)]
+        self.lessons = {k: np.concatenate([g[k] for g in given]) for k in given[0]}
+
+    def __call__(self):
+        return self.lessons
+
+
+@pytest.mark.parametrize("encoder", ["learned", "supervised"])
+def test_the_student_learns_what_the_teacher_does(env, teacher, trainer, encoder):
+    student, images = image_policy(encoder=encoder, lr=1e-2, lr_estimator=1e-2), 2 if encoder == "supervised" else 0
+    critics = {k: v.clone() for k, v in student.critic.state_dict().items()}
+    lessons = SameLessons(Lessons(env, student, teacher, 0, 20, images > 0))
+    fit = trainer(100)
+    fit.fit(
+        Imitation(student), datamodule=ReplayDataModule(lessons, ReplayBuffer(16, 0), 16, 2, 100, images, 16, LESSON)
+    )
+    names = ["imitation/action_error", "imitation/spread_error"] + ["policy/state_error"] * (images > 0)
+    for name in names:
+        assert fit.history[-1][name] < 0.5 * fit.history[0][name], name
+    assert fit.history[-1]["imitation/teacher_share"] == 0.25
+    assert all(torch.equal(v, critics[k]) for k, v in student.critic.state_dict().items())
+
+
+def test_critics_handed_over_value_raw_states_as_the_teachers_value_standardised_ones(teacher):
+    policy = image_policy()
+    hand_over_critics(teacher, policy)
+    states, actions = torch.tensor([[0.1, -0.5], [0.2, 1.5]]), torch.tensor([[30.0], [-80.0]])
+    for name in ("critic", "critic_target"):
+        expected = getattr(teacher, name)(teacher.actor.encoder(states), actions)
+        torch.testing.assert_close(getattr(policy, name)(states, actions), expected)
+    assert policy.log_alpha == teacher.log_alpha
+
+
+def test_labels_do_not_depend_on_how_actions_are_scaled(teacher):
+    states = np.array([[0.1, -0.5]], np.float32)
+    told = label(teacher, states)
+    normal = teacher.actor.distribution(teacher.encode(states))
+    assert told["label"] == pytest.approx(torch.tanh(normal.mean).item())
+    assert told["label_log_std"] == pytest.approx(normal.stddev.log().item(), abs=1e-6)
+
+
+def test_an_environment_of_states_plays_as_the_grounded_source_behind_it(cart):
+    def push(pixels, actions):
+        return 0.5 * actions
+
+    def make():
+        return GroundedEnv(VectorImageEnv(cart, cart.domain("source"), 2, 8, 1), F=push)
+
+    behind, shown = make(), StatesOnly(make())
+    np.testing.assert_array_equal(behind.reset(seed=1)[0]["state"], shown.reset(seed=1)[0]["pixels"])
+    for _ in range(8):
+        a, b = (env.step(np.full((2, 1), 80, np.float32)) for env in (behind, shown))
+        np.testing.assert_array_equal(a[0]["state"], b[0]["pixels"])
+        np.testing.assert_array_equal(a[1], b[1])
+        assert ("final_obs" in a[4]) == ("final_obs" in b[4])
+        if "final_obs" in a[4]:
+            np.testing.assert_array_equal(a[4]["final_obs"]["state"], b[4]["final_obs"]["pixels"])
+    behind.close(), shown.close()
+
+
+@pytest.fixture
+def teaching(cart, tmp_path, monkeypatch):
+    recipe = ExpertRecipe(steps=1, warmup_steps=10, num_envs=2, batch=8)
+    monkeypatch.setitem(experts.RECIPES, "cart", recipe)
+    worlds = Worlds(cart, cart.domain("source"), cart.domain("hard"), Ledger(tmp_path / "ledger.json"), 16, 2)
+    stages = Stages(tmp_path, 0, plain_trainer)
+    return Teaching(worlds, stages, Teacher(20, 20, 20), num_envs=2, batch=8, memory=100)
+
+
+def test_the_teacher_goes_on_where_the_dynamics_are_new_and_only_there(teaching, tmp_path):
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    source = student(0, "source_")
+    first = teaching.expert
+    student(0, "")
+    assert teaching.expert is first, "G alone changes no dynamics"
+    teaching.worlds.repair([])
+    assert type(source) is AsymmetricSAC and not list(tmp_path.rglob("step_00/teacher"))
+
+    class Halving(torch.nn.Module):
+        """Stands for F."""
+
+    student(1, "", F=Halving())
+    assert teaching.expert is not first and (tmp_path / "step_01/teacher/final.ckpt").exists()
+    assert torch.equal(teaching.expert.actor.encoder.mean, first.actor.encoder.mean), "its scale stays"
+
+
+@pytest.mark.parametrize(("wrong", "said"), [({"steps": 5}, "Give both"), ({"dagger": 5}, "Give both"),
+                                             ({"fading": 0.0}, "above 0")])  # fmt: skip
+def test_half_a_teacher_is_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        Teacher(**wrong)
+
+
+# --- in a run -------------------------------------------------------------------------------------------
+
+
+def stages_of(run):
+    return {(s["step"], s["stage"]) for s in json.loads((run / "summary.json").read_text())["stages"]}
+
+
+def checkpoint(run, name):
+    return torch.load(run / name / "final.ckpt", weights_only=True)["state_dict"]
+
+
+@pytest.fixture(scope="module")
+def taught_run(tmp_path_factory, tiny_args):
+    run = tmp_path_factory.mktemp("runs") / "taught"
+    overrides = {"teacher__steps": 16, "teacher__adapt": 12, "teacher__dagger": 16, "schedule__grounding_steps": 1}
+    args = tiny_args(run, **overrides)
+    assert main(["fit", *args]) == 0
+    return run, args
+
+
+def test_a_run_with_a_teacher_adds_stages_and_changes_none_before_them(taught_run, finished_run):
+    run, _ = taught_run
+    added = {(0, "source_teacher"), (0, "source_student"), (0, "student"), (1, "teacher"), (1, "student")}
+    without = {(k, s) for k, s in stages_of(finished_run) if k <= 1}
+    assert stages_of(run) == without | added and not added & stages_of(finished_run)
+    for name in ("step_00/state_predictor", "step_00/visual"):  # they do not see the policy
+        a, b = checkpoint(run, name), checkpoint(finished_run, name)
+        assert all(torch.equal(a[k], b[k]) for k in a)
+
+
+def test_a_teacher_costs_no_target_interactions(taught_run):
+    summary = json.loads((taught_run[0] / "summary.json").read_text())
+    assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
+
+
+def test_the_policys_sac_goes_on_from_the_student(taught_run, tiny_args, tmp_path):
+    run = tmp_path / "student"
+    overrides = {"teacher__steps": 16, "teacher__adapt": 12, "teacher__dagger": 16, "schedule__grounding_steps": 0}
+    none = {"schedule__source_policy": 0, "schedule__pretrain__policy": 0}
+    assert main(["fit", *tiny_args(run, **overrides, **none)]) == 0
+    student, policy = checkpoint(run, "step_00/student"), checkpoint(run, "step_00/policy")
+    assert all(torch.equal(v, student[f"policy.{k}"]) for k, v in policy.items())
+    taught = checkpoint(taught_run[0], "step_00/policy")
+    assert any(not torch.equal(v, policy[k]) for k, v in taught.items())
+
+
+def test_a_taught_run_that_lost_its_last_step_repeats_it_bitwise(taught_run):
+    run, args = taught_run
+    before = {n: checkpoint(run, f"step_01/{n}") for n in ("teacher", "student", "policy")}
+    (run / "step_01/student/final.ckpt").unlink()
+    (run / "step_01/policy/final.ckpt").unlink()
+    assert main(["fit", *args]) == 0
+    for name, kept in before.items():
+        again = checkpoint(run, f"step_01/{name}")
+        assert all(torch.equal(v, again[k]) for k, v in kept.items()), name
