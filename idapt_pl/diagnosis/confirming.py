@@ -20,6 +20,11 @@ NOTICEABLE = 0.03
 
 What a found effect's law or the integration gets wrong by a per cent looks like that.
 """
+CLEAR = 0.25
+"""Share of the held-out error that a first effect must remove where velocities are only slopes of positions.
+
+What the slopes get wrong at the start of a window is not all in the noise; a lag of 2 ms or a little rotor inertia
+takes 15 % of it away where nothing is missing (``benchmarks/diagnosis.py --positions``)."""
 PARSIMONY = 0.15
 """Share of the best gain that every further parameter must then be worth."""
 
@@ -68,6 +73,8 @@ def objection(search: Search, t: Tried, now: np.ndarray) -> str:
         return f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
     if t.gain < s.relative_gain * level:
         return f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
+    if not search.sim.velocities and not t.round and t.gain < CLEAR * level:
+        return f"it removes {100 * t.gain / level:.0f} % of the error; without velocities {100 * CLEAR:.0f} % are asked"
     if t.gain < s.removable_gain * max(level - 1.0, 0.0):
         above = 100 * t.gain / (level - 1)
         return f"it removes {above:.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"

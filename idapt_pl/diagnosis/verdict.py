@@ -85,6 +85,9 @@ def units(sim) -> list[str]:
     return out + [f"{u}/s" for u in out] * sim.velocities
 
 
+FLOOR, SLOPED_FLOOR = 1.6, 4.0
+"""Loss up to which a model may be right, also where velocities are slopes of positions: those err by more than noise."""
+
 UNPREDICTABLE = 4.0, 6.0
 """Loss of the typical window, and of one in four, from which even a remainder that nothing predicts is no noise."""
 
@@ -92,7 +95,8 @@ UNPREDICTABLE = 4.0, 6.0
 def decide(search: Search, before: float, after: float, losses: np.ndarray, removable: float) -> str:
     """The verdict; a remainder counts only if it is typical of the windows, or of a quarter, or could be predicted."""
     median_after, upper = np.quantile(losses, [0.5, 0.75])
-    left_over = after**2 > 1.6 and (median_after > 1.5 or upper > UNPREDICTABLE[1] or removable > 0.25)
+    floor = FLOOR if search.sim.velocities else SLOPED_FLOOR
+    left_over = after**2 > floor and (median_after > 1.5 or upper > UNPREDICTABLE[1] or removable > 0.25)
     if search.found:
         poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0 or upper > UNPREDICTABLE[1]
         return "unexplained_residual" if left_over and poor else "effects_found"
