@@ -86,7 +86,7 @@ def units(sim) -> list[str]:
 
 
 FLOOR, SLOPED_FLOOR = 1.6, 4.0
-"""Loss up to which a model may be right, also where velocities are slopes of positions: those err by more than noise."""
+"""Loss up to which a model may be right; the other one where velocities are slopes of positions, which err more."""
 
 UNPREDICTABLE = 4.0, 6.0
 """Loss of the typical window, and of one in four, from which even a remainder that nothing predicts is no noise."""
