@@ -29,13 +29,13 @@ from idapt_pl.tasks import Task
 log = logging.getLogger(__name__)
 SHORTEST = 6
 """Control steps that an episode must last to be of use."""
-CLEARLY_MORE = 3.0
-"""How many times as large as in the control the error must be in some channel of the target.
+BELIEVED = ((3.0, 0.5), (2.0, 0.9))
+"""How many times as large as in the control the error must be in some channel of the target, and what share of the error
+beyond the control's, in that channel, must go with what is found; either pair will do.
 
-The sensor was fitted to the images of the control, so it errs more on the target even where nothing is missing: 1.5 to
-2.3 times on the pendulum (``benchmarks/discovery.py --cases nothing``)."""
-MOST = 0.5
-"""Share of the error beyond the control's, in that channel, that what is found must remove."""
+The sensor was fitted to the images of the control, so it errs more on the target even where nothing is missing: 0.7 to
+2.3 times on the pendulum, and where it is more than twice, a third of it can be explained away
+(``benchmarks/discovery.py --cases nothing``)."""
 See = Callable[[np.ndarray], np.ndarray]
 CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
 """What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
@@ -150,7 +150,7 @@ def discover(
     made_up = {(e.name, e.target) for e in checked.effects}
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
-    believable = excess > CLEARLY_MORE and explained > MOST
+    believable = any(excess > more and explained > share for more, share in BELIEVED)
     believed = [e for e in found if (e.name, e.target) not in made_up and believable]
     report = {e["effect"] + e["target"]: e for e in seen.report["effects"]}
     for e in found:
