@@ -30,8 +30,8 @@ log = logging.getLogger(__name__)
 SHORTEST = 6
 """Control steps that an episode must last to be of use."""
 BELIEVED = ((3.0, 0.5), (2.0, 0.9))
-"""How many times as large as in the control the error must be in some channel of the target, and what share of the error
-beyond the control's, in that channel, must go with what is found; either pair will do.
+"""How many times as large as in the control the error must be in some channel of the target, and what share of what is
+beyond the control's error there must go with what is found; either pair will do.
 
 The sensor was fitted to the images of the control, so it errs more on the target even where nothing is missing: 0.7 to
 2.3 times on the pendulum, and where it is more than twice, a third of it can be explained away
