@@ -57,7 +57,7 @@ def score(case: Case, report: dict) -> dict:
     elif case.kind == "outside":
         right = report["verdict"] == "unexplained_residual"
     else:
-        right = any(
+        right = report["verdict"] == "effects_found" and any(
             len(answer - {("numerics", "world")}) == len(names) and all(any(m in answer for m in c) for c in classes)
             for answer in case.accept
         )
@@ -116,7 +116,7 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
         "truth": " + ".join(f"{t.effect}({t.target})={t.value}" for t in case.truth),
         **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1), "cpu_seconds": round(cpu, 1),
-        "commit": git_commit()[:7],
+        "commit": git_commit(),
         **(fit_all_parameters(case, model, data, seed) if o.baseline else {}),
     }  # fmt: skip
 

@@ -16,6 +16,7 @@ from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv
 from idapt_pl.experts import ExpertRecipe
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
+from idapt_pl.report.record import ORDER
 from idapt_pl.stage import Stages
 from idapt_pl.teaching import LESSON, Lessons, Teacher, Teaching, hand_over_critics, label
 from idapt_pl.worlds import Worlds
@@ -192,6 +193,10 @@ def test_a_run_with_a_teacher_adds_stages_and_changes_none_before_them(taught_ru
     for name in ("step_00/state_predictor", "step_00/visual"):  # they do not see the policy
         a, b = checkpoint(run, name), checkpoint(finished_run, name)
         assert all(torch.equal(a[k], b[k]) for k in a)
+
+
+def test_the_report_knows_where_every_stage_of_a_taught_run_stands(taught_run):
+    assert {name for _, name in stages_of(taught_run[0])} <= set(ORDER)
 
 
 def test_a_teacher_costs_no_target_interactions(taught_run):

@@ -84,7 +84,8 @@ def prune(search: Search) -> None:
         with_it, without = search.loss(search.effects), search.loss((*search.fixed, *effects_of(candidates, fit.x)))
         gain, error = paired_gain(without, with_it, search.held_out.windows.episode)
         needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
-        if needless or f.candidate.change(f.x) < NOTICEABLE:
+        slight = f is not search.found[0] and f.candidate.change(f.x) < NOTICEABLE
+        if needless or slight:
             log.info("pruned %s: without it %.3g, with it %.3g", f.candidate.label, without.mean(), with_it.mean())
             search.found = rest
             search.x = fit.x

@@ -14,7 +14,7 @@ from mujoco import rollout
 from idapt_pl.diagnosis.data import Recording, Windows, difference, shift
 from idapt_pl.diagnosis.play import Play
 from idapt_pl.domains.effects import PLAY, Effect
-from idapt_pl.domains.paths import Command, CommandEffect, ExternalForce, ForceEffect, SensingEffect
+from idapt_pl.domains.paths import Command, CommandEffect, ExternalForce, ForceEffect, Law, SensingEffect
 
 Effects = tuple[Effect, ...]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -89,7 +89,7 @@ class Simulator:
                 self._compiled.pop(next(iter(self._compiled)))
             spec = self.spec.copy()
             for effect in said:
-                effect.constrain(spec) if isinstance(effect, CommandEffect | ForceEffect) else effect.apply(spec)
+                effect.constrain(spec) if isinstance(effect, Law) else effect.apply(spec)
             model = spec.compile()
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
@@ -251,8 +251,7 @@ class Simulator:
 
 def outside_model(effect: Effect) -> bool:
     """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
-    acts_outside = isinstance(effect, CommandEffect | ForceEffect) and not effect.constrains
-    return acts_outside or isinstance(effect, SensingEffect)
+    return isinstance(effect, Law) and not effect.constrains
 
 
 def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

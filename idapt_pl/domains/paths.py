@@ -16,6 +16,9 @@ from scipy.signal import lfilter
 
 from idapt_pl.domains.effects import Effect, elements, parameter
 
+UNLIMITED = 1e6
+"""A limit that is none."""
+
 
 @dataclass(frozen=True)
 class Command:
@@ -26,7 +29,20 @@ class Command:
 
 
 @dataclass(frozen=True)
-class CommandEffect(Effect):
+class Law(Effect):
+    """An effect that a simulation can apply itself, outside the model: on commands, forces or measurements."""
+
+    @property
+    def constrains(self) -> bool:
+        """Whether the simulation needs something in the model beside that."""
+        return False
+
+    def constrain(self, spec: mujoco.MjSpec) -> None:
+        """Write that into the model."""
+
+
+@dataclass(frozen=True)
+class CommandEffect(Law):
     """Something that happens to a command before it becomes a force; target: an actuator, or ``"*"``.
 
     Attributes:
@@ -45,14 +61,6 @@ class CommandEffect(Effect):
         values[:, columns] = self.law(values[:, columns])
         return Command(command.edges, values)
 
-    @property
-    def constrains(self) -> bool:
-        """Whether a simulation needs something in the model beside the transform."""
-        return False
-
-    def constrain(self, spec: mujoco.MjSpec) -> None:
-        """Write that into the model."""
-
     def law(self, values: np.ndarray) -> np.ndarray:
         """For effects without memory: command to command."""
         raise NotImplementedError
@@ -70,6 +78,11 @@ def per_column(command: Command, columns: list[int], edges: np.ndarray, values: 
     at = np.clip(np.searchsorted(edges, union, side="right") - 1, 0, len(values) - 1)
     merged[:, columns] = values[at]
     return Command(np.append(union, union[-1] + 10.0), merged)
+
+
+def late(command: Command, columns: list[int], by: float) -> Command:
+    """A command some of whose columns arrive later by some seconds."""
+    return per_column(command, columns, command.edges + by, command.values[:, columns])
 
 
 @dataclass(frozen=True)
@@ -97,7 +110,7 @@ class ActuatorDelay(CommandEffect):
     delay: float = parameter("s", 0.0, 10.0)
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
-        return per_column(command, columns, command.edges + self.delay, command.values[:, columns])
+        return late(command, columns, self.delay)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in elements(spec, "actuators", self.target):
@@ -139,8 +152,7 @@ class ActuatorLag(CommandEffect):
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
         if self.dead_time:
-            late = per_column(command, columns, command.edges + self.dead_time, command.values[:, columns])
-            return ActuatorLag(self.target, self.time_constant).transform(late, columns, step)
+            command = late(command, columns, self.dead_time)
         if self.time_constant <= 0:
             return command
         edges = np.arange(command.edges[0], command.edges[-1], step)
@@ -211,15 +223,15 @@ class ActuatorSaturation(CommandEffect):
     """
 
     name: ClassVar[str] = "actuator_saturation"
-    limit: float = parameter("command", 0.0, 1e6, default=1e6)
-    force: float = parameter("N·m or N", 1e-6, 1e6, default=1e6)
+    limit: float = parameter("command", 0.0, UNLIMITED, default=UNLIMITED)
+    force: float = parameter("N·m or N", 1e-6, UNLIMITED, default=UNLIMITED)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.clip(values, -self.limit, self.limit)
 
     @property
     def constrains(self) -> bool:
-        return self.force < 1e6
+        return self.force < UNLIMITED
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
         for actuator in elements(spec, "actuators", self.target):
@@ -228,26 +240,18 @@ class ActuatorSaturation(CommandEffect):
     def apply(self, spec: mujoco.MjSpec) -> None:
         if self.constrains:
             self.constrain(spec)
-        for actuator in elements(spec, "actuators", self.target) if self.limit < 1e6 else ():
+        for actuator in elements(spec, "actuators", self.target) if self.limit < UNLIMITED else ():
             actuator.ctrllimited, actuator.ctrlrange = True, (-self.limit, self.limit)
 
 
 @dataclass(frozen=True)
-class ForceEffect(Effect):
+class ForceEffect(Law):
     """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         elements(spec, self.kind, self.target)
 
     kind: ClassVar[str] = "joints"
-
-    @property
-    def constrains(self) -> bool:
-        """Whether a simulation needs something in the model beside the force."""
-        return False
-
-    def constrain(self, spec: mujoco.MjSpec) -> None:
-        """Write that into the model."""
 
     @abstractmethod
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -308,7 +312,7 @@ class ExternalForce(ForceEffect):
 
 
 @dataclass(frozen=True)
-class SensingEffect(Effect):
+class SensingEffect(Law):
     """Something between a joint's motion and its measurement; target: a joint, or ``"*"``."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:

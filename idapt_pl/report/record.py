@@ -12,6 +12,8 @@ ORDER = (
     "source",
     "target",
     "state_predictor",
+    "source_teacher",
+    "source_student",
     "source_policy",
     "direct_transfer",
     "visual",
@@ -21,6 +23,8 @@ ORDER = (
     "effects",
     "dynamics",
     "selection",
+    "teacher",
+    "student",
     "policy",
     "evaluation",
 )
