@@ -48,7 +48,7 @@ class ImageActor(nn.Module):
         """What is squashed by tanh and scaled to the bounds, (n, nu)."""
         mean, log_std = self.head(features).float().chunk(2, -1)
         log_std = -5.0 + 3.5 * (1.0 + torch.tanh(log_std))  # in [-5, 2]
-        return torch.distributions.Normal(mean, log_std.exp())
+        return torch.distributions.Normal(mean, log_std.exp(), validate_args=False)
 
     def normalise(self, actions: Tensor) -> Tensor:
         """Actions in physical units to -1..1."""
@@ -209,7 +209,8 @@ class AsymmetricSAC(ManualModule):
             metrics |= self.estimator_step(minibatch)
         for schedule in self.lr_schedulers():
             schedule.step()
-        self.log_at(index, metrics | self.trainer.datamodule.progress())
+        if (index + 1) % self.trainer.log_every_n_steps == 0:  # what nobody writes down costs time
+            self.log_at(index, metrics | self.trainer.datamodule.progress())
 
     def estimator_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Regress f(o) on the source state."""
