@@ -98,6 +98,7 @@ def trainer():
             accelerator="cpu",
             max_epochs=1,
             limit_train_batches=batches,
+            log_every_n_steps=1,
             logger=False,
             callbacks=[history],
             enable_checkpointing=False,
