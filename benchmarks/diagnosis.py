@@ -1,14 +1,13 @@
 """Does `idapt diagnose` name what is missing, and nothing where nothing is? One row a case and seed.
 
     python benchmarks/diagnosis.py --seeds 0 1 2            # all cases; finished rows are kept
-    python benchmarks/diagnosis.py --cases servo_lag --seeds 0 --baseline
+    python benchmarks/diagnosis.py --cases servo_lag --seeds 0
     python benchmarks/diagnosis.py --positions --seeds 0    # without the velocities
     python benchmarks/diagnosis.py --summary                # the table of what is there
 
-The recordings come from benchmarks/undeclared, which shares no code with the diagnosis. Writes
-results/diagnosis.csv. ``--baseline`` also fits every single-parameter MJCF effect of the library at once, each joint
-and actuator on its own, and names the largest change: what a person would do who fits all parameters. ``ceiling`` is
-the other baseline, a black box (regression on state and commands) that corrects the nominal model.
+The recordings come from benchmarks/undeclared, which shares no code with the diagnosis. Writes results/diagnosis.csv.
+``ceiling`` is what a black box (regression on state and commands) that corrects the nominal model would leave; further
+baselines are in benchmarks/diagnosis_baselines.py.
 """
 
 from __future__ import annotations
@@ -33,14 +32,12 @@ from benchmarks.undeclared.generate import generate
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import diagnose
-from idapt_pl.diagnosis.search import begin
-from idapt_pl.diagnosis.statistics import effects_of
 from idapt_pl.files import write_atomically
 
 FIELDS = (
     "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",
     "before", "after", "ceiling", "removed_share", "relative_error", "covered", "class_size", "seconds", "cpu_seconds",
-    "all_parameters_names", "all_parameters_top1", "all_parameters_after", "commit",
+    "commit",
 )  # fmt: skip
 
 
@@ -97,11 +94,6 @@ def record(case: Case, seed: int, o: argparse.Namespace) -> tuple[mujoco.MjSpec,
     return mujoco.MjSpec.from_file(str(nominal)), positions_alone(data) if o.positions else data
 
 
-def only_baseline(case: Case, seed: int, o: argparse.Namespace) -> dict:
-    """The baseline of a case that was diagnosed before."""
-    return fit_all_parameters(case, *record(case, seed, o), seed)
-
-
 def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     """Record, diagnose, score."""
     model, data = record(case, seed, o)
@@ -117,29 +109,7 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
         **{k: report["error"][k] for k in ("before", "after", "ceiling", "removed_share")},
         **score(case, report), "seconds": round(seconds, 1), "cpu_seconds": round(cpu, 1),
         "commit": git_commit(),
-        **(fit_all_parameters(case, model, data, seed) if o.baseline else {}),
     }  # fmt: skip
-
-
-def fit_all_parameters(case: Case, model: mujoco.MjSpec, data: Trajectories, seed: int) -> dict:
-    """The baseline: every parameter of MJCF that the library knows, fitted at once; the largest change is named.
-
-    Changes are compared in units of the library's scales, as a person would compare them with what is usual.
-    """
-    search = begin(model, data, seed=seed)
-    singles = [
-        c for c in search.candidates if c.size == 1 and c.target != "*" and c.kind.__module__.endswith("effects")
-    ]
-    fit = search.refit(search.screen, singles, [np.array(c.nominal) for c in singles], 4)
-    change = [abs(x[0] - c.nominal[0]) / c.scale[0] for c, x in zip(singles, fit.x, strict=True)]
-    largest = singles[int(np.argmax(change))]
-    after = search.loss(effects_of(singles, fit.x)).mean()
-    accepted = set().union(*case.accept) if case.accept else set()
-    return {
-        "all_parameters_names": largest.label,
-        "all_parameters_top1": int((largest.kind.name, largest.target) in accepted) if accepted else "",
-        "all_parameters_after": round(float(np.sqrt(after)), 4),
-    }
 
 
 def write(path: Path, rows: list[dict]) -> None:
@@ -177,7 +147,6 @@ def summarise(rows: list[dict]) -> str:
             f"removable error removed, median   {np.median(removed):.3f}" if removed else "",
             f"parameter error, median           {np.median(errors):.4f}" if errors else "",
             f"95 % intervals that cover         {mean('covered', named)}",
-            f"all parameters at once: top-1     {mean('all_parameters_top1', named)}",
             f"seconds a case, median / max      {np.median(seconds):.0f} / {max(seconds):.0f}",
         ]
     )
@@ -188,7 +157,6 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--cases", nargs="+", choices=sorted(CASES), default=list(CASES), metavar="CASE")
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
-    p.add_argument("--baseline", action="store_true", help="also fit all parameters at once")
     p.add_argument("--positions", action="store_true", help="leave the measured velocities out")
     p.add_argument("--again", action="store_true", help="repeat rows that are there")
     p.add_argument("--summary", action="store_true", help="only print what is there")
@@ -200,10 +168,9 @@ def main() -> None:
     wanted = [(c, s) for s in o.seeds for c in o.cases] if not o.summary else []
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
-        bare = o.baseline and same and not same[0]["all_parameters_names"]
-        if same and not o.again and not bare:
+        if same and not o.again:
             continue
-        row = {**same[0], **only_baseline(CASES[name], seed, o)} if bare else run(CASES[name], seed, o)
+        row = run(CASES[name], seed, o)
         rows = [r for r in rows if r not in same] + [row]
         write(o.out, rows)
         r = rows[-1]

@@ -1,0 +1,296 @@
+"""What `idapt diagnose` is compared with: mujoco.sysid on all parameters at once, and a residual network.
+
+    pip install "mujoco[sysid]"
+    python benchmarks/diagnosis_baselines.py --seeds 0       # cases with an effect inside the library; rows are kept
+    python benchmarks/diagnosis_baselines.py --summary
+
+The cases are those of benchmarks/diagnosis.py; errors are measured as there, on the same held-out windows.
+
+``sysid``: every effect of the library that is one number of the MJCF, on each joint, actuator, body and geom of its
+own, is a Parameter of mujoco.sysid, all are fitted together, and the largest change, in units of what is noticeable, is
+named: what a person would do who has that tool and no suspicion. Commands are held, states start as measured, each
+channel is weighted by its error under the nominal model.
+
+``network``: a multilayer perceptron learns what the nominal model gets wrong in one control step from state and
+command, and corrects the simulation step by step. It names nothing. Writes results/diagnosis_baselines.csv.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from tqdm import tqdm
+
+from benchmarks.diagnosis import record
+from benchmarks.undeclared.cases import CASES, Case
+from cli.provenance import git_commit
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.diagnosis.model import name_elements
+from idapt_pl.diagnosis.search import begin
+from idapt_pl.diagnosis.simulator import STATE, Simulator, silence
+from idapt_pl.diagnosis.state import Search
+from idapt_pl.diagnosis.statistics import effects_of, whiten, window_loss
+from idapt_pl.files import write_atomically
+from idapt_pl.nets.mlp import mlp
+
+FIELDS = (
+    "case", "kind", "model", "seed", "optimizer", "before", "sysid_parameters", "sysid_named", "sysid_top1",
+    "sysid_after", "sysid_seconds", "network_after", "network_seconds", "commit",
+)  # fmt: skip
+IDENTIFIABLE = [c.name for c in CASES.values() if c.kind in ("single", "double", "confounded")]
+
+WIDEST = 20.0
+"""Bounds of the parameters of mujoco.sysid, in noticeable changes."""
+
+
+def held_out_error(search: Search, residual: np.ndarray) -> float:
+    """Rms of the whitened held-out error, as in report.json."""
+    return float(np.sqrt(window_loss(whiten(search.held_out.W, residual)).mean()))
+
+
+# --- mujoco.sysid ---------------------------------------------------------------------------------
+
+
+def single_numbers(search: Search) -> list[Candidate]:
+    """Effects that are one number of one element of the MJCF and add no state to it, each once."""
+    plain = search.sim.model
+
+    def fits(c: Candidate) -> bool:
+        if c.size != 1 or c.target == "*" or not c.kind.__module__.endswith("effects"):
+            return False
+        changed = search.sim.compile((c.effect(np.add(c.nominal, c.scale)),))
+        return (changed.nq, changed.na) == (plain.nq, plain.na)
+
+    return list({c.label: c for c in search.candidates if fits(c)}.values())
+
+
+def sequences(spec: mujoco.MjSpec, sim: Simulator, windows: Windows):
+    """Windows as mujoco.sysid takes them: held commands at every time step, positions and velocities as sensors."""
+    from mujoco import sysid
+
+    spec = spec.copy()
+    for kind, suffix in ((mujoco.mjtSensor.mjSENS_JOINTPOS, "pos"), (mujoco.mjtSensor.mjSENS_JOINTVEL, "vel")):
+        for joint in spec.joints:
+            spec.add_sensor(
+                name=f"{joint.name}_{suffix}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint.name
+            )
+    model = spec.copy().compile()
+    h, states, controls, sensors = model.opt.timestep, [], [], []
+    for e, start in zip(windows.episode, windows.start, strict=True):
+        r, rows = sim.data[e], np.arange(start, start + windows.offsets[-1] + 1)
+        times = r.time[rows] - r.time[start]
+        grid = np.arange(round(times[-1] / h) + 2) * h  # the last one is dropped by its rollout
+        held = np.clip(np.searchsorted(times, grid + 1e-9, side="right") - 1, 0, len(rows) - 2)
+        states.append(sysid.create_initial_state(model, r.qpos[start], r.qvel[start], np.zeros(model.na)))
+        controls.append(sysid.TimeSeries(grid, r.actions[rows[held]]))
+        sensors.append(sysid.TimeSeries.from_names(times, np.hstack([r.qpos[rows], r.qvel[rows]]), model))
+    names = [f"window_{i}" for i in range(len(windows))]
+    return sysid.ModelSequences(spec.modelname or "model", spec, names, states, controls, sensors)
+
+
+def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, iterations: int) -> dict:
+    """The first baseline."""
+    from mujoco import sysid
+
+    started, sim, singles = time.perf_counter(), search.sim, single_numbers(search)
+    params = sysid.ParameterDict()
+    for c in singles:
+        # in units of what is noticeable: the fit stalls where units differ widely or bounds are far apart
+        low, high = (float((b[0] - c.nominal[0]) / c.scale[0]) for b in c.bounds())
+        apply = lambda s, p, c=c: c.effect(np.add(c.nominal, np.multiply(c.scale, p.value))).apply(s)  # noqa: E731
+        params.add(sysid.Parameter(c.label, 0.0, max(low, -WIDEST), min(high, WIDEST), modifier=apply))
+    measured = sequences(spec, sim, search.screen.windows)
+    scale = np.sqrt(np.square(sim.residual(search.declared, search.screen.windows)).mean((0, 1)))
+
+    def weighted(params, predicted, seen, model, return_all, state):
+        """Residual at the samples' own times. The sensors of a rollout lag by a time step, its states do not."""
+        at = seen.times[1:]
+        values = np.stack([np.interp(at, state[:, 0], column) for column in state[:, 1 : 1 + model.nq + model.nv].T], 1)
+        same = sysid.TimeSeries(at, values, seen.signal_mapping)
+        return (seen.data[1:] - values) / scale, same, sysid.TimeSeries(at, seen.data[1:], seen.signal_mapping)
+
+    # all windows of one vector of parameters at once: window by window its models would be compiled again for each
+    measured.measured_rollout = [measured.measured_rollout]
+    residual = sysid.build_residual_fn(
+        models_sequences=[measured], modify_residual=weighted, resample_true=False,
+        build_model=lambda p, spec: sysid.apply_param_modifiers(p, spec.copy()),  # else gains pile up
+    )  # fmt: skip
+
+    w = search.screen.windows
+    rows = len(w) * w.offsets[-1] * (sim.model.nq + sim.model.nv)
+
+    def column(x: np.ndarray, params) -> np.ndarray:
+        try:
+            return np.nan_to_num(residual(x, params)[0][0], nan=1e3).clip(-1e3, 1e3)
+        except ValueError:  # it cannot read a simulation that blew up, whose clock starts again
+            return np.full(rows, 1e3)
+
+    def columns(x: np.ndarray, params) -> tuple[list[np.ndarray], None, None]:
+        vectors = x[:, None] if x.ndim == 1 else x
+        found = np.stack([column(v, params) for v in vectors.T], 1)
+        return [found[:, 0] if x.ndim == 1 else found], None, None
+
+    with silence():
+        how = {"mujoco": {"eps": 0.02, "output": io.StringIO()}}.get(optimizer, {"diff_step": 0.02, "loss": "soft_l1"})
+        fitted, _ = sysid.optimize(params, columns, optimizer, verbose=False, max_iters=iterations, **how)
+    change = fitted.as_vector()
+    x = np.array([c.nominal[0] + c.scale[0] * v for c, v in zip(singles, change, strict=True)])
+    largest = singles[int(np.argmax(np.abs(change)))]
+    accepted = set().union(*case.accept)
+    after = held_out_error(search, sim.residual(effects_of(singles, x[:, None]), search.held_out.windows))
+    return {
+        "sysid_parameters": len(singles), "sysid_named": largest.label,
+        "sysid_top1": int((largest.kind.name, largest.target) in accepted),
+        "sysid_after": round(after, 4), "sysid_seconds": round(time.perf_counter() - started, 1),
+    }  # fmt: skip
+
+
+# --- a residual network ---------------------------------------------------------------------------
+
+
+def one_step(model: mujoco.MjModel, x: np.ndarray, u: np.ndarray, dt: float, data: list[mujoco.MjData]) -> np.ndarray:
+    """States (n, nq + nv) one control step later."""
+    full = np.zeros((len(x), mujoco.mj_stateSize(model, STATE)))
+    full[:, 1 : 1 + x.shape[1]] = x
+    with silence():
+        states, _ = rollout.rollout(model, data, full, np.repeat(u[:, None], round(dt / model.opt.timestep), 1))
+    return np.nan_to_num(states[:, -1, 1 : 1 + x.shape[1]]).clip(-1e3, 1e3)
+
+
+def network(search: Search, seed: int, epochs: int = 200) -> dict:
+    """The second baseline."""
+    started, sim = time.perf_counter(), search.sim
+    torch.manual_seed(seed)
+    data = [mujoco.MjData(sim.model) for _ in range(sim.threads)]
+
+    def pairs(episodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        states = [np.hstack([sim.data[e].qpos, sim.data[e].qvel]) for e in episodes]
+        parts = [s[:-1] for s in states], [sim.data[e].actions for e in episodes], [s[1:] for s in states]
+        return tuple(map(np.concatenate, parts))
+
+    x, u, y = pairs(search.fit_episodes)
+    wrong = y - one_step(sim.model, x, u, search.dt, data)
+    seen = np.hstack([x, u])
+    mean, std, unit = seen.mean(0), seen.std(0) + 1e-6, wrong.std(0) + 1e-9
+    net = mlp(seen.shape[1], (128, 128), wrong.shape[1])
+    optimizer = torch.optim.Adam(net.parameters(), lr=1e-3, weight_decay=1e-5)
+    inputs, targets = (torch.tensor(a, dtype=torch.float32) for a in ((seen - mean) / std, wrong / unit))
+    order = torch.randperm(len(inputs))
+    train, check = order[len(order) // 8 :], order[: len(order) // 8]
+    best, kept = torch.nn.functional.mse_loss(torch.zeros_like(targets[check]), targets[check]).item(), None
+    for _ in range(epochs):
+        for rows in train[torch.randperm(len(train))].split(256):
+            optimizer.zero_grad()
+            torch.nn.functional.mse_loss(net(inputs[rows]), targets[rows]).backward()
+            optimizer.step()
+        with torch.no_grad():
+            loss = torch.nn.functional.mse_loss(net(inputs[check]), targets[check]).item()
+        if loss < best:  # early stopping: the weights that did best on transitions left out
+            best, kept = loss, {k: v.clone() for k, v in net.state_dict().items()}
+
+    @torch.no_grad()
+    def correction(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        if kept is None:
+            return np.zeros_like(x)
+        return net(torch.tensor((np.hstack([x, u]) - mean) / std, dtype=torch.float32)).numpy() * unit
+
+    if kept is not None:
+        net.load_state_dict(kept)
+    w = search.held_out.windows
+    chosen = [(sim.data[e], s) for e, s in zip(w.episode, w.start, strict=True)]
+    now = np.stack([np.hstack([r.qpos[s], r.qvel[s]]) for r, s in chosen])
+    residual = []
+    for k in range(w.offsets[-1]):
+        u = np.stack([r.actions[s + k] for r, s in chosen])
+        now = one_step(sim.model, now, u, search.dt, data) + correction(now, u)
+        if k + 1 in w.offsets:
+            residual.append(np.stack([np.hstack([r.qpos[s + k + 1], r.qvel[s + k + 1]]) for r, s in chosen]) - now)
+    after = held_out_error(search, np.stack(residual, 1))
+    return {"network_after": round(after, 4), "network_seconds": round(time.perf_counter() - started, 1)}
+
+
+def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
+    """Both baselines on one case."""
+    spec, data = record(case, seed, o)
+    spec = name_elements(spec.copy())
+    search = begin(spec, data, seed=seed)
+    before = held_out_error(search, search.sim.residual(search.declared, search.held_out.windows))
+    return {
+        "case": case.name, "kind": case.kind, "model": case.model, "seed": seed,
+        "optimizer": o.optimizer, "before": round(before, 4),
+        **fit_all(case, search, spec, o.optimizer, o.iterations), **network(search, seed), "commit": git_commit(),
+    }  # fmt: skip
+
+
+def write(path: Path, rows: list[dict]) -> None:
+    """All rows, sorted, atomically."""
+
+    def dump(temporary: Path) -> None:
+        with temporary.open("w", newline="") as f:
+            table = csv.DictWriter(f, FIELDS)
+            table.writeheader()
+            table.writerows(sorted(rows, key=lambda r: (r["optimizer"], r["kind"], r["case"], int(r["seed"]))))
+
+    write_atomically(path, dump)
+
+
+def summarise(rows: list[dict]) -> str:
+    """Top-1 of the first, and the share of the removable error (squared, above the noise) that each removes."""
+
+    def removed(name: str) -> str:
+        before, after = (np.array([float(r[k]) for r in rows]) for k in ("before", name))
+        share = (before**2 - after**2) / np.maximum(before**2 - 1, 1e-9)
+        return f"{np.median(share):.3f} (quartiles {np.quantile(share, 0.25):.3f} to {np.quantile(share, 0.75):.3f})"
+
+    top1 = [int(r["sysid_top1"]) for r in rows]
+    return "\n".join(
+        [
+            f"mujoco.sysid, all parameters: top-1            {np.mean(top1):.3f} (n = {len(top1)})",
+            f"mujoco.sysid: removable error removed, median  {removed('sysid_after')}",
+            f"residual network: the same                     {removed('network_after')}",
+            f"seconds a case, median                         {np.median([float(r['sysid_seconds']) for r in rows]):.0f}"
+            f" and {np.median([float(r['network_seconds']) for r in rows]):.0f}",
+        ]
+    )
+
+
+def main() -> None:
+    """Run the missing rows and print the summary."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--cases", nargs="+", choices=sorted(IDENTIFIABLE), default=IDENTIFIABLE, metavar="CASE")
+    p.add_argument("--seeds", nargs="+", type=int, default=[0])
+    p.add_argument("--optimizer", choices=("mujoco", "scipy_parallel_fd"), default="mujoco", help="of mujoco.sysid")
+    p.add_argument("--iterations", type=int, default=15, help="of mujoco.sysid's least squares, at most")
+    p.add_argument("--summary", action="store_true", help="only print what is there")
+    p.add_argument("--data", type=Path, default=ROOT / "runs" / "undeclared")
+    p.add_argument("--out", type=Path, default=ROOT / "results" / "diagnosis_baselines.csv")
+    o = p.parse_args()
+    o.positions = False
+    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    done = {(r["case"], int(r["seed"]), r["optimizer"]) for r in rows}
+    wanted = [(c, s) for s in o.seeds for c in o.cases if (c, s, o.optimizer) not in done and not o.summary]
+    for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
+        row = run(CASES[name], seed, o)
+        rows.append(row)
+        write(o.out, rows)
+        print(*(row[k] for k in FIELDS[:-1]), flush=True)
+    for optimizer in sorted({r["optimizer"] for r in rows}):
+        print(f"--- optimizer {optimizer}\n" + summarise([r for r in rows if r["optimizer"] == optimizer]))
+
+
+if __name__ == "__main__":
+    main()
