@@ -302,6 +302,32 @@ _add(
     numerics=SAME,
 )
 
+# --- models that the diagnosis was not developed on ------------------------------------------------------
+
+HOPPER, SWIMMER, DOUBLE, PUSHER = "hopper", "swimmer", "double_pendulum", "pusher"
+
+_add("hopper_thigh_gain", HOPPER, hidden.motor_gain("thigh_joint", 0.75))
+_add("hopper_leg_frictionloss", HOPPER, hidden.joint_frictionloss("leg_joint", 8.0), numerics=SAME)
+_add("hopper_foot_armature", HOPPER, hidden.joint_armature("foot_joint", 2.0))
+_add("hopper_delay", HOPPER, hidden.command_delay(0.016), also=ALL_DELAY)
+_add("hopper_slippery", HOPPER, hidden.contact_friction("*", 0.25))
+_add("swimmer_thin_fluid", SWIMMER, hidden.fluid("density", 2500.0))
+_add("swimmer_rear_motor", SWIMMER, hidden.motor_gain("motor2_rot", 0.7), numerics=SAME)
+_add("swimmer_front_damping", SWIMMER, hidden.joint_damping("motor1_rot", 8.0))
+_add("double_upper_damping", DOUBLE, hidden.joint_damping("hinge2", 0.4))
+_add("double_upper_mass", DOUBLE, hidden.body_mass("pole2", 6.5), numerics=SAME)
+_add("double_lag", DOUBLE, hidden.command_lag("slide", 0.03), also=({("actuator_lag", "*")},))
+_add("pusher_elbow_damping", PUSHER, hidden.joint_damping("r_elbow_flex_joint", 0.6))
+_add("pusher_lift_gain", PUSHER, hidden.motor_gain("r_shoulder_lift_joint", 0.7), numerics=SAME)
+_add("pusher_pan_frictionloss", PUSHER, hidden.joint_frictionloss("r_shoulder_pan_joint", 0.4))
+_add(
+    "pusher_damping_and_delay",
+    PUSHER,
+    hidden.joint_damping("r_shoulder_lift_joint", 2.5),
+    hidden.command_delay(0.05),
+    also=tuple({e, ("joint_damping", "r_shoulder_lift_joint")} for (e,) in ALL_DELAY),
+)
+
 # --- controls: nothing is hidden -------------------------------------------------------------------------
 
 _add("control_pendulum", PENDULUM, numerics=SAME)
@@ -323,3 +349,7 @@ _add("control_servo_quantised", SERVO, numerics=SAME, noise=Noise(3e-4, 1e-2, qu
 _add("control_cheetah_quiet", CHEETAH, numerics=SAME, amplitude=0.01, still=True, may_abstain=True)
 _add("control_reacher_quiet", REACHER, numerics=SAME, amplitude=0.01, still=True, may_abstain=True)
 _add("control_servo_quiet", SERVO, amplitude=0.02, still=True, may_abstain=True)
+_add("control_hopper", HOPPER)
+_add("control_swimmer", SWIMMER)
+_add("control_double", DOUBLE)
+_add("control_pusher", PUSHER)

@@ -107,6 +107,7 @@ def _name(root: ET.Element) -> None:
             geom.attrib.setdefault("name", body.get("name") + (f"_{i}" if i else ""))
     for actuator in root.find("actuator"):
         actuator.attrib.setdefault("name", actuator.get("joint"))
+        actuator.attrib.setdefault("gear", "1")
 
 
 def _volume(kind: int, size: np.ndarray) -> float:
@@ -226,4 +227,57 @@ MODELS: dict[str, Model] = {
         start_speed=0.0,
         noise=Noise(1e-3, 1e-2),
     ),
+    "hopper": Model(
+        build=lambda: _from_gymnasium("hopper.xml"),
+        frame_skip=4,
+        episodes=14,
+        steps=(90, 130),
+        amplitude=(0.3, 0.3, 0.2),
+        start=((-0.1, 0.1), (1.23, 1.3), (-0.1, 0.1), (-0.7, -0.15), (-0.9, -0.2), (-0.3, 0.3)),
+        start_speed=0.3,
+        noise=Noise(5e-4, 1e-2),
+    ),
+    "swimmer": Model(
+        build=lambda: _from_gymnasium("swimmer.xml"),
+        frame_skip=4,
+        episodes=10,
+        steps=(90, 130),
+        amplitude=(0.8, 0.8),
+        start=((-0.1, 0.1), (-0.1, 0.1), (-0.5, 0.5), (-0.6, 0.6), (-0.6, 0.6)),
+        start_speed=0.1,
+        noise=Noise(1e-3, 1e-2),
+    ),
+    "double_pendulum": Model(
+        build=lambda: _from_gymnasium("inverted_double_pendulum.xml"),
+        frame_skip=2,
+        episodes=16,
+        steps=(60, 90),
+        amplitude=(0.15,),
+        start=((-0.3, 0.3), (2.6, 3.6), (-0.5, 0.5)),
+        start_speed=0.2,
+        noise=Noise(5e-4, 5e-3),
+    ),
+    "pusher": Model(
+        build=lambda: _from_gymnasium("pusher_v5.xml"),
+        frame_skip=5,
+        episodes=10,
+        steps=(100, 140),
+        amplitude=(1.6, 1.6, 1.0, 1.6, 0.6, 0.6, 0.4),
+        fastest=3.0,
+        start=(
+            (-0.3, 0.3),
+            (0.0, 0.6),
+            (-0.3, 0.3),
+            (-1.2, -0.4),
+            (-0.3, 0.3),
+            (-0.7, -0.3),
+            (-0.3, 0.3),
+            *((0, 0),) * 4,
+        ),
+        start_speed=0.0,
+        noise=Noise(1e-3, 1e-2),
+    ),
 }
+
+UNSEEN = ("hopper", "swimmer", "double_pendulum", "pusher")
+"""Models that were added after the diagnosis was finished."""
