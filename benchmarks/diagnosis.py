@@ -29,6 +29,7 @@ from tqdm import tqdm
 
 from benchmarks.undeclared.cases import CASES, Case
 from benchmarks.undeclared.generate import generate
+from benchmarks.undeclared.models import UNSEEN
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import diagnose
@@ -179,7 +180,9 @@ def main() -> None:
             f"{name:32s} {seed} right={r['right']} {r['verdict']:22s} {r['found']} | {r['truth']} | {errors}",
             flush=True,
         )
-    print(summarise(rows))
+    for title, late in (("models that it was developed on", False), ("other models", True)):
+        if chosen := [r for r in rows if (r["model"] in UNSEEN) == late]:
+            print(f"--- {title}\n{summarise(chosen)}")
 
 
 if __name__ == "__main__":
