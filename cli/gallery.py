@@ -1,12 +1,16 @@
-"""``idapt gallery``: a page with pictures of every task in every domain, and a table of what differs."""
+"""``idapt gallery``: a page with pictures of every task in every domain, and a table of what differs.
+
+With ``--run`` it also shows the source as the G of finished runs translates it.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from cli.arguments import parser
+from cli.run_folder import load_visual, open_run
 from idapt_pl.files import write_atomically
-from idapt_pl.gallery import page
+from idapt_pl.gallery import Learned, page
 from idapt_pl.tasks import TASKS, make_task
 
 
@@ -16,9 +20,21 @@ def main(args: list[str]) -> int:
     p.add_argument("--out", type=Path, required=True, help="folder to write index.html to")
     p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS), help="tasks to show")
     p.add_argument("--image-size", type=int, default=200, help="side of the pictures, pixels")
+    p.add_argument("--run", type=Path, nargs="+", default=[], help="run folders whose G is shown too")
     o = p.parse_args(args)
-    text = page(map(make_task, o.task), o.image_size)
+    learned = [what_it_learned(run) for run in o.run]
+    told = [(g.task, g.target) for g in learned]
+    if len(set(told)) < len(told):
+        raise ValueError(f"--run: two runs have the same task and target ({told}); give one of each")
+    text = page(map(make_task, o.task), o.image_size, learned=learned)
     path = o.out / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(text))
     print(path)
     return 0
+
+
+def what_it_learned(run: Path) -> Learned:
+    """G of a run's last grounding step."""
+    grounding = open_run(run)
+    worlds, G = grounding.worlds, load_visual(grounding)
+    return Learned(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 import imageio.v3 as iio
@@ -27,14 +28,39 @@ img { margin: 0 6px 6px 0; vertical-align: top } .name { display: inline-block; 
 """
 
 
-def pictures(task: Task, size: int, moments: Iterable[int], seed: int = 0) -> dict[str, list[np.ndarray]]:
-    """The same states in every domain, along one exploration of the source. Domain to images uint8 (size, size, 3)."""
+@dataclass(frozen=True)
+class Learned:
+    """What a run learned of a target's looks.
+
+    Attributes:
+        task: name of the task.
+        target: name of the domain.
+        image_size: side of the images it works on, pixels.
+        frames: images it translates together.
+        translate: G, uint8 (n, frames, size, size, 3) to the same.
+    """
+
+    task: str
+    target: str
+    image_size: int
+    frames: int
+    translate: Callable[[np.ndarray], np.ndarray]
+
+
+def pictures(
+    task: Task, size: int, moments: Iterable[int], learned: Sequence[Learned] = (), seed: int = 0
+) -> dict[str, list[np.ndarray]]:
+    """The same states in every domain, along one exploration of the source, and the source as G shows it.
+
+    Domain, or ``G to <domain>``, to images uint8 (side, side, 3).
+    """
     moments = sorted(moments)
     with ExitStack() as stack:
         envs = {name: VectorImageEnv(task, domain, 1, size, 1) for name, domain in task.domains().items()}
-        for env in envs.values():
+        shown_to = {g.target: VectorImageEnv(task, task.domain("source"), 1, g.image_size, 1) for g in learned}
+        for env in (*envs.values(), *shown_to.values()):
             stack.callback(env.close)
-        shown: dict[str, list[np.ndarray]] = {name: [] for name in envs}
+        shown: dict[str, list[np.ndarray]] = {name: [] for name in (*envs, *(f"G to {g.target}" for g in learned))}
         source = envs["source"]
         obs, _ = source.reset(seed=seed)
         act = babbling_policy(source, seed)
@@ -42,6 +68,9 @@ def pictures(task: Task, size: int, moments: Iterable[int], seed: int = 0) -> di
             if t in moments:
                 for name, env in envs.items():
                     shown[name].append(env.show(0, source.data[0]))
+                for g in learned:
+                    still = np.repeat(shown_to[g.target].show(0, source.data[0])[None, None], g.frames, axis=1)
+                    shown[f"G to {g.target}"].append(g.translate(still)[0, -1])
             obs, *_ = source.step(act(obs["pixels"]))
         return shown
 
@@ -84,11 +113,6 @@ def grouped(rows: list[tuple[str, str, bool, dict[str, Any]]]) -> list[tuple[str
     return result
 
 
-def told_of(value: Any, element: str) -> str | None:
-    """A value for a reader, or that the element is there; None where there is no such element."""
-    return "present" if isinstance(value, str) and value == element else None if value is None else text(value)
-
-
 def text(value: Any) -> str:
     """A value for a reader: four digits, arrays in brackets without zeros at their end."""
     if isinstance(value, dict):
@@ -100,7 +124,7 @@ def text(value: Any) -> str:
     return f"{float(value):.4g}" if isinstance(value, int | float | np.number | np.ndarray) else str(value)
 
 
-def section(task: Task, size: int, moments: Iterable[int]) -> str:
+def section(task: Task, size: int, moments: Iterable[int], learned: Sequence[Learned]) -> str:
     """One task as HTML."""
     model = task.domain("source").compile()
     data = mujoco.MjData(model)
@@ -114,8 +138,8 @@ def section(task: Task, size: int, moments: Iterable[int]) -> str:
         "metric": task.metric,
     }
     parts = [f"<h2>{task.name}</h2><p>{'; '.join(f'{k}: {v}' for k, v in facts.items())}</p>"]
-    for name, images in pictures(task, size, moments).items():
-        parts.append(f"<div><span class=name>{name}</span>{''.join(map(picture, images))}</div>")
+    for name, images in pictures(task, size, moments, learned).items():
+        parts.append(f"<div><span class=name>{name}</span>{''.join(picture(i, size) for i in images)}</div>")
     parts.append(table(grouped(comparison(task)), list(task.domains())))
     return "\n".join(parts)
 
@@ -130,19 +154,24 @@ def table(rows: list[tuple[str, str, bool, dict[str, Any]]], domains: list[str])
     return f"<table>{''.join(lines)}</table>"
 
 
-def picture(image: np.ndarray) -> str:
+def picture(image: np.ndarray, width: int) -> str:
     """An image as HTML that needs no file beside it."""
     data = base64.b64encode(iio.imwrite("<bytes>", image, extension=".png")).decode()
-    return f'<img src="data:image/png;base64,{data}" width="{image.shape[1]}" alt="">'
+    return f'<img src="data:image/png;base64,{data}" width="{width}" alt="">'
 
 
-def page(tasks: Iterable[Task], size: int = 200, moments: Iterable[int] = (0, 8, 16, 32)) -> str:
+def page(
+    tasks: Iterable[Task], size: int = 200, moments: Iterable[int] = (0, 8, 16, 32), learned: Iterable[Learned] = ()
+) -> str:
     """The whole page."""
+    learned = tuple(learned)
     moments = tuple(moments)
     intro = (
         "Every row of pictures shows the same states, reached by an exploration of the source. The tables list every "
         "field in which a compiled model differs from the source's, and effects that MJCF has no words for."
+        + " Rows called G show the source as a trained visual transformation translates it."
+        * bool(learned)
     )
-    body = "\n".join(section(task, size, moments) for task in tasks)
+    body = "\n".join(section(task, size, moments, [g for g in learned if g.task == task.name]) for task in tasks)
     head = f"<!doctype html><meta charset=utf-8><title>Tasks and domains</title><style>{STYLE}</style>"
     return f"{head}<h1>Tasks and domains</h1><p>{intro}</p>{body}\n"

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from cli.main import main
-from idapt_pl.gallery import comparison, grouped, pictures
+from idapt_pl.gallery import Learned, comparison, grouped, pictures
 from idapt_pl.tasks import make_task
 
 
@@ -14,6 +14,14 @@ def test_pictures_show_the_same_states_in_every_domain():
     assert set(shown) == {"source", "easy", "hard"}
     assert all(len(images) == 2 and images[0].shape == (16, 16, 3) for images in shown.values())
     assert (shown["source"][0] != shown["hard"][0]).any()
+
+
+def test_what_a_run_learned_is_shown_beside_its_domain():
+    """A G that turns colours round gets the source, at its own size, in the states of the other rows."""
+    negative = Learned("inverted_pendulum", "hard", 24, 3, lambda pixels: 255 - pixels)
+    shown = pictures(make_task("inverted_pendulum"), 24, (0, 5), [negative])
+    assert list(shown) == ["source", "easy", "hard", "G to hard"]
+    assert all((255 - g == s).all() for g, s in zip(shown["G to hard"], shown["source"], strict=True))
 
 
 def test_comparison_reads_table_1_from_the_models():
