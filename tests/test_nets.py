@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from idapt_pl.nets.encoder import Keypoints, PixelEncoder, PixelStatePredictor
+from idapt_pl.nets.encoder import FrameStatePredictor, Keypoints, PixelEncoder, PixelStatePredictor
 from idapt_pl.nets.images import center_crop, random_crop, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
@@ -101,6 +101,25 @@ def test_rate_from_differences_is_the_derivative_of_what_the_frames_show(frames,
     images = shown.repeat_interleave(3)[None, :, None, None].expand(1, 3 * frames, 8, 8)
     state = net(images) * std + mean
     torch.testing.assert_close(state, torch.tensor([[3.0, 5.0]]), rtol=1e-4, atol=1e-4)
+
+
+def test_framewise_predictor_starts_from_the_newest_frame_and_learns_motion_from_the_others():
+    """Brightness is the position; the velocity can only come from how it changes over the frames."""
+    torch.manual_seed(0)
+    net = FrameStatePredictor(Brightness(8, 1, strides=(2,), features=1), state_dim=2, frame_stack=3, hidden=(32, 32))
+    x, v = torch.rand(2, 256, 1) - 0.5
+    images = (x + v * torch.tensor([-0.2, -0.1, 0.0])).repeat_interleave(3, 1)[..., None, None].expand(-1, -1, 8, 8)
+    same = torch.cat([torch.rand(256, 6, 8, 8), images[:, -3:]], 1)
+    torch.testing.assert_close(net(images), net(same))  # a new net does not heed older frames
+    state = torch.cat([x, v], 1)
+    net.fit_scale(state)
+    optimizer = torch.optim.Adam(net.parameters(), lr=3e-3)
+    for _ in range(300):
+        optimizer.zero_grad()
+        net.error(images, state).backward()
+        optimizer.step()
+    error = (net(images) - net.standardise(state)).abs().mean(0)
+    assert error[0] < 0.1 and error[1] < 0.3, error
 
 
 @pytest.mark.parametrize("size", [32, 36])

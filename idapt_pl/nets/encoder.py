@@ -180,6 +180,34 @@ class PixelStatePredictor(nn.Module):
         self.std.copy_(torch.where(std > 1e-6, std, torch.ones_like(std)))
 
 
+class FrameStatePredictor(PixelStatePredictor):
+    """P that looks at each frame alone: an estimate for every frame, and what the sequence of estimates adds.
+
+    One encoder sees K times as many images, and what moves is learned from how poses follow one another, which takes
+    fewer images than learning it from stacked pixels. The addition is zero in a new net.
+
+    Args:
+        encoder: for one frame.
+        state_dim: size of the state.
+        frame_stack: K.
+        hidden: of both MLPs.
+    """
+
+    def __init__(
+        self, encoder: PixelEncoder, state_dim: int, frame_stack: int, hidden: Sequence[int] = (256, 256)
+    ) -> None:
+        super().__init__(encoder, state_dim, hidden)
+        self.motion = mlp(frame_stack * state_dim, hidden, state_dim)
+        self.motion.apply(orthogonal_init)
+        nn.init.zeros_(self.motion[-1].weight)
+
+    def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b s"]:
+        """Standardised state of uncropped image stacks, -1..1."""
+        frames = center_crop(images, self.encoder.crop).unflatten(1, (-1, 3))
+        each = self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, frames.shape[1]))
+        return each[:, -1] + self.motion(each.flatten(1)).float()
+
+
 @dataclass(frozen=True)
 class Vision:
     """How the policy and the state predictors look at images, the same for all.
@@ -188,13 +216,14 @@ class Vision:
         crop: side of the crop, pixels (random when the policy trains, else centred); default the whole image.
         strides: of the 4 convolutions.
         pool: ``flatten`` (the paper) or ``keypoints`` (where in the image each channel is active).
-        rates: velocities ``learned`` from the stack (the paper) or taken as ``differences`` between frames.
+        rates: velocities ``learned`` from the stack (the paper), taken as ``differences`` between frames, or learned
+            from estimates for each of the ``frames``, which suits long control periods.
     """
 
     crop: int | None = None
     strides: tuple[int, int, int, int] = (2, 1, 1, 1)
     pool: Pool = "flatten"
-    rates: Literal["learned", "differences"] = "learned"
+    rates: Literal["learned", "differences", "frames"] = "learned"
 
     def encoder(self, image_size: int | Sequence[int], frame_stack: int) -> PixelEncoder:
         """A new encoder."""
@@ -204,6 +233,8 @@ class Vision:
         self, image_size: int | Sequence[int], frame_stack: int, state_dim: int, rates: dict[int, int], dt: float
     ) -> PixelStatePredictor:
         """A new state predictor."""
+        if self.rates == "frames":
+            return FrameStatePredictor(self.encoder(image_size, 1), state_dim, frame_stack)
         if self.rates == "learned" or not rates:
             return PixelStatePredictor(self.encoder(image_size, frame_stack), state_dim)
         return PixelStatePredictor(self.encoder(image_size, 1), state_dim, rates=rates, dt=dt)
