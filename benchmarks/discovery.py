@@ -1,6 +1,6 @@
 """Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
 
-    python benchmarks/pendulum.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
+    python benchmarks/quick.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
     python benchmarks/discovery.py --seeds 0 1 2 3 4
 
 Targets look like the pendulum's hard domain and move like its source but for what is hidden. The sensor, the policy's
@@ -90,7 +90,7 @@ def main() -> None:
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
-    p.add_argument("--runs", type=Path, default=ROOT / "runs", help="where benchmarks/pendulum.py left its runs")
+    p.add_argument("--runs", type=Path, default=ROOT / "runs", help="where benchmarks/quick.py left its runs")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
     o = p.parse_args()
     rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []

@@ -1,12 +1,13 @@
-"""Does IDAPT carry the pendulum from source to hard within the budget of a laptop? Seeds, one row each.
+"""Does IDAPT carry a task from source to hard within the budget of a laptop? Seeds, one row a policy.
 
-    python benchmarks/pendulum.py --seeds 0 1 2 3 4
+    python benchmarks/quick.py --seeds 0 1 2 3 4                 # the pendulum
+    python benchmarks/quick.py --config fetch_quick --seeds 0
 
-Runs ``idapt fit`` with configs/pendulum_quick.yaml for every seed (finished runs are not repeated) and
-writes results/pendulum_quick.csv: one row a policy, so that direct transfer, visual grounding alone and
-every grounding step stand side by side. Failures stay in the table. An ablation gets rows of its own:
+Runs ``idapt fit`` with a quick config for every seed (finished runs are not repeated) and writes
+results/<config>.csv: direct transfer, visual grounding alone and every grounding step stand side by side.
+Failures stay in the table. An ablation gets rows of its own:
 
-    python benchmarks/pendulum.py --seeds 3 --method "no resets" --visual.reset_weight 0
+    python benchmarks/quick.py --seeds 3 --method "no resets" --visual.reset_weight 0
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -27,7 +27,8 @@ FIELDS = (
     "method",
     "seed",
     "grounding_step",
-    "return",
+    "metric",
+    "mean",
     "std",
     "psnr",
     "target_interactions",
@@ -58,7 +59,7 @@ def run(config: Path, seed: int, extra: list[str], name: str) -> Path:
 
 
 def rows(folder: Path, method: str) -> list[dict]:
-    """Rows of the results table: returns over the episodes, G's error against paired target images (dB)."""
+    """Rows of the results table: the task's metric over the episodes, G's error against paired target images (dB)."""
 
     def read(name: str) -> dict:
         return json.loads((folder / f"{name}.json").read_text())
@@ -69,6 +70,7 @@ def rows(folder: Path, method: str) -> list[dict]:
         "target": summary["target"],
         "run": method,
         "seed": summary["seed"],
+        "metric": summary["metric"],
         "commit": provenance["git_commit"],
         "cpu": provenance["cpu"],
         "target_interactions": summary["target_interactions"],
@@ -82,28 +84,36 @@ def rows(folder: Path, method: str) -> list[dict]:
     if summary["oracle"] is not None:
         found.append(("oracle", "", read("step_00/oracle_evaluation"), ""))
     return [
-        {**common, "method": name, "grounding_step": k, "return": round(r["mean"], 1), "std": round(r["std"], 1),
+        {**common, "method": name, "grounding_step": k, "mean": round(r["mean"], 2), "std": round(r["std"], 2),
          "psnr": psnr}
         for name, k, r, psnr in found
     ]  # fmt: skip
+
+
+def write(path: Path, method: str, seed: int, new: list[dict]) -> None:
+    """Put the rows of a run into the table, in place of those of the same method and seed."""
+    old = list(csv.DictReader(path.open())) if path.exists() else []
+    table = [r for r in old if (r["run"], r["seed"]) != (method, str(seed))] + new
+    with path.open("w", newline="") as f:
+        writer = csv.DictWriter(f, FIELDS)
+        writer.writeheader()
+        writer.writerows(table)
 
 
 def main() -> None:
     """Run the benchmark."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    p.add_argument("--config", type=Path, default=ROOT / "configs/pendulum_quick.yaml")
+    p.add_argument("--config", default="pendulum_quick", help="name of a file in configs/, without .yaml")
     p.add_argument("--method", default="IDAPT", help="name in the table, for ablations")
-    p.add_argument("--out", type=Path, default=ROOT / "results/pendulum_quick.csv")
+    p.add_argument("--out", type=Path, help="default results/<config>.csv")
     o, extra = p.parse_known_args()
-    name = f"benchmark_{o.config.stem}_{o.method.replace(' ', '_')}"
-    table = [r for r in csv.DictReader(o.out.open()) if r["run"] != o.method] if o.out.exists() else []
-    table += [row for seed in o.seeds for row in rows(run(o.config, seed, extra, name), o.method)]
-    with o.out.open("w", newline="") as f:
-        writer = csv.DictWriter(f, FIELDS)
-        writer.writeheader()
-        writer.writerows(table)
-    print(o.out.read_text(), f"({platform.machine()})")
+    o.out = o.out or ROOT / f"results/{o.config}.csv"
+    name = f"benchmark_{o.config}_{o.method.replace(' ', '_')}"
+    for seed in o.seeds:
+        new = rows(run(ROOT / f"configs/{o.config}.yaml", seed, extra, name), o.method)
+        write(o.out, o.method, seed, new)
+    print(o.out.read_text())
 
 
 if __name__ == "__main__":
