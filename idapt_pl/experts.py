@@ -46,7 +46,7 @@ RECIPES = {
     "half_cheetah": ExpertRecipe(steps=150_000),
     "walker2d": ExpertRecipe(steps=200_000),
     "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
-    "sawyer_push": ExpertRecipe(steps=60_000, gamma=0.95),
+    "sawyer_push": ExpertRecipe(steps=30_000, gamma=0.95),
 }
 
 
