@@ -7,8 +7,9 @@
 The cases are those of benchmarks/diagnosis.py; errors are measured as there, on the same held-out windows.
 
 ``sysid``: every effect of the library that is one number of the MJCF, on each joint, actuator, body and geom of its
-own, is a Parameter of mujoco.sysid, all are fitted together, and the largest change, in units of what is noticeable, is
-named: what a person would do who has that tool and no suspicion. Commands are held, states start as measured, each
+own, is a Parameter of mujoco.sysid, all are fitted together, and the largest change is named, in units of what is
+noticeable (``sysid_named``) or of its own interval (``sysid_surest``): what a person would do who has that tool and no
+suspicion. Commands are held, states start as measured, each
 channel is weighted by its error under the nominal model.
 
 ``network``: a multilayer perceptron learns what the nominal model gets wrong in one control step from state and
@@ -49,7 +50,7 @@ from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
     "case", "kind", "model", "seed", "optimizer", "before", "sysid_parameters", "sysid_named", "sysid_top1",
-    "sysid_after", "sysid_seconds", "network_after", "network_seconds", "commit",
+    "sysid_surest", "sysid_surest_top1", "sysid_after", "sysid_seconds", "network_after", "network_seconds", "commit",
 )  # fmt: skip
 IDENTIFIABLE = [c.name for c in CASES.values() if c.kind in ("single", "double", "confounded")]
 
@@ -146,15 +147,17 @@ def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, ite
 
     with silence():
         how = {"mujoco": {"eps": 0.02, "output": io.StringIO()}}.get(optimizer, {"diff_step": 0.02, "loss": "soft_l1"})
-        fitted, _ = sysid.optimize(params, columns, optimizer, verbose=False, max_iters=iterations, **how)
+        fitted, result = sysid.optimize(params, columns, optimizer, verbose=False, max_iters=iterations, **how)
     change = fitted.as_vector()
     x = np.array([c.nominal[0] + c.scale[0] * v for c, v in zip(singles, change, strict=True)])
-    largest = singles[int(np.argmax(np.abs(change)))]
+    _, interval = sysid.calculate_intervals(columns(change, params)[0], result.jac)
+    largest, surest = (singles[int(np.argmax(size))] for size in (np.abs(change), np.abs(change) / (interval + 1e-12)))
     accepted = set().union(*case.accept)
     after = held_out_error(search, sim.residual(effects_of(singles, x[:, None]), search.held_out.windows))
     return {
         "sysid_parameters": len(singles), "sysid_named": largest.label,
         "sysid_top1": int((largest.kind.name, largest.target) in accepted),
+        "sysid_surest": surest.label, "sysid_surest_top1": int((surest.kind.name, surest.target) in accepted),
         "sysid_after": round(after, 4), "sysid_seconds": round(time.perf_counter() - started, 1),
     }  # fmt: skip
 
@@ -256,10 +259,11 @@ def summarise(rows: list[dict]) -> str:
         share = (before**2 - after**2) / np.maximum(before**2 - 1, 1e-9)
         return f"{np.median(share):.3f} (quartiles {np.quantile(share, 0.25):.3f} to {np.quantile(share, 0.75):.3f})"
 
-    top1 = [int(r["sysid_top1"]) for r in rows]
+    top1, sure = ([int(r[k]) for r in rows if str(r[k])] for k in ("sysid_top1", "sysid_surest_top1"))
     return "\n".join(
         [
             f"mujoco.sysid, all parameters: top-1            {np.mean(top1):.3f} (n = {len(top1)})",
+            f"mujoco.sysid, the surest change: top-1         {np.mean(sure):.3f} (n = {len(sure)})" if sure else "",
             f"mujoco.sysid: removable error removed, median  {removed('sysid_after')}",
             f"residual network: the same                     {removed('network_after')}",
             f"seconds a case, median                         {np.median([float(r['sysid_seconds']) for r in rows]):.0f}"
