@@ -113,15 +113,15 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     }  # fmt: skip
 
 
-def write(path: Path, rows: list[dict]) -> None:
+def write(path: Path, rows: list[dict], fields: tuple[str, ...] = FIELDS) -> None:
     """All rows, sorted, atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
 
     def dump(temporary: Path) -> None:
         with temporary.open("w", newline="") as f:
-            table = csv.DictWriter(f, FIELDS)
+            table = csv.DictWriter(f, fields)
             table.writeheader()
-            table.writerows(sorted(rows, key=lambda r: (r["kind"], r["case"], int(r["seed"]))))
+            table.writerows(sorted(rows, key=lambda r: (r.get("optimizer", ""), r["kind"], r["case"], int(r["seed"]))))
 
     write_atomically(path, dump)
 

@@ -9,8 +9,9 @@ The cases are those of benchmarks/diagnosis.py; errors are measured as there, on
 ``sysid``: every effect of the library that is one number of the MJCF, on each joint, actuator, body and geom of its
 own, is a Parameter of mujoco.sysid, all are fitted together, and the largest change is named, in units of what is
 noticeable (``sysid_named``) or of its own interval (``sysid_surest``): what a person would do who has that tool and no
-suspicion. Commands are held, states start as measured, each
-channel is weighted by its error under the nominal model.
+suspicion. ``sysid_could`` says whether a right answer is among the parameters at all: delays and lags are not, nor what
+all elements of a kind have in common. Commands are held, states start as measured, each channel is weighted by its
+error under the nominal model.
 
 ``network``: a multilayer perceptron learns what the nominal model gets wrong in one control step from state and
 command, and corrects the simulation step by step. It names nothing. Writes results/diagnosis_baselines.csv.
@@ -35,7 +36,7 @@ import torch
 from mujoco import rollout
 from tqdm import tqdm
 
-from benchmarks.diagnosis import record
+from benchmarks.diagnosis import record, write
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
 from idapt_pl.diagnosis.data import Windows
@@ -45,12 +46,12 @@ from idapt_pl.diagnosis.search import begin
 from idapt_pl.diagnosis.simulator import STATE, Simulator, silence
 from idapt_pl.diagnosis.state import Search
 from idapt_pl.diagnosis.statistics import effects_of, whiten, window_loss
-from idapt_pl.files import write_atomically
 from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
-    "case", "kind", "model", "seed", "optimizer", "before", "sysid_parameters", "sysid_named", "sysid_top1",
-    "sysid_surest", "sysid_surest_top1", "sysid_after", "sysid_seconds", "network_after", "network_seconds", "commit",
+    "case", "kind", "model", "seed", "optimizer", "before", "sysid_parameters", "sysid_could", "sysid_named",
+    "sysid_top1", "sysid_surest", "sysid_surest_top1", "sysid_after", "sysid_seconds", "network_after", "network_seconds",
+    "commit",
 )  # fmt: skip
 IDENTIFIABLE = [c.name for c in CASES.values() if c.kind in ("single", "double", "confounded")]
 
@@ -77,6 +78,11 @@ def single_numbers(search: Search) -> list[Candidate]:
         return (changed.nq, changed.na) == (plain.nq, plain.na)
 
     return list({c.label: c for c in search.candidates if fits(c)}.values())
+
+
+def could_name(case: Case, singles: list[Candidate]) -> int:
+    """Whether a right answer is among the parameters."""
+    return int(any((c.kind.name, c.target) in answer for c in singles for answer in case.accept))
 
 
 def sequences(spec: mujoco.MjSpec, sim: Simulator, windows: Windows):
@@ -155,7 +161,7 @@ def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, ite
     accepted = set().union(*case.accept)
     after = held_out_error(search, sim.residual(effects_of(singles, x[:, None]), search.held_out.windows))
     return {
-        "sysid_parameters": len(singles), "sysid_named": largest.label,
+        "sysid_parameters": len(singles), "sysid_could": could_name(case, singles), "sysid_named": largest.label,
         "sysid_top1": int((largest.kind.name, largest.target) in accepted),
         "sysid_surest": surest.label, "sysid_surest_top1": int((surest.kind.name, surest.target) in accepted),
         "sysid_after": round(after, 4), "sysid_seconds": round(time.perf_counter() - started, 1),
@@ -239,18 +245,6 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     }  # fmt: skip
 
 
-def write(path: Path, rows: list[dict]) -> None:
-    """All rows, sorted, atomically."""
-
-    def dump(temporary: Path) -> None:
-        with temporary.open("w", newline="") as f:
-            table = csv.DictWriter(f, FIELDS)
-            table.writeheader()
-            table.writerows(sorted(rows, key=lambda r: (r["optimizer"], r["kind"], r["case"], int(r["seed"]))))
-
-    write_atomically(path, dump)
-
-
 def summarise(rows: list[dict]) -> str:
     """Top-1 of the first, and the share of the removable error (squared, above the noise) that each removes."""
 
@@ -260,8 +254,10 @@ def summarise(rows: list[dict]) -> str:
         return f"{np.median(share):.3f} (quartiles {np.quantile(share, 0.25):.3f} to {np.quantile(share, 0.75):.3f})"
 
     top1, sure = ([int(r[k]) for r in rows if str(r[k])] for k in ("sysid_top1", "sysid_surest_top1"))
+    could = [int(r["sysid_top1"]) for r in rows if int(r["sysid_could"])]
     return "\n".join(
         [
+            f"mujoco.sysid, cases that it could name: top-1  {np.mean(could):.3f} (n = {len(could)})",
             f"mujoco.sysid, all parameters: top-1            {np.mean(top1):.3f} (n = {len(top1)})",
             f"mujoco.sysid, the surest change: top-1         {np.mean(sure):.3f} (n = {len(sure)})" if sure else "",
             f"mujoco.sysid: removable error removed, median  {removed('sysid_after')}",
@@ -290,7 +286,7 @@ def main() -> None:
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         row = run(CASES[name], seed, o)
         rows.append(row)
-        write(o.out, rows)
+        write(o.out, rows, FIELDS)
         print(*(row[k] for k in FIELDS[:-1]), flush=True)
     for optimizer in sorted({r["optimizer"] for r in rows}):
         print(f"--- optimizer {optimizer}\n" + summarise([r for r in rows if r["optimizer"] == optimizer]))
