@@ -50,8 +50,8 @@ from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
     "case", "kind", "model", "seed", "optimizer", "before", "sysid_parameters", "sysid_could", "sysid_named",
-    "sysid_top1", "sysid_surest", "sysid_surest_top1", "sysid_after", "sysid_seconds", "network_after", "network_seconds",
-    "commit",
+    "sysid_top1", "sysid_surest", "sysid_surest_top1", "sysid_after", "sysid_seconds", "network_after",
+    "network_seconds", "commit",
 )  # fmt: skip
 IDENTIFIABLE = [c.name for c in CASES.values() if c.kind in ("single", "double", "confounded")]
 
