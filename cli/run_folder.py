@@ -23,7 +23,7 @@ def open_run(run: Path) -> IterativeGrounding:
     if not config.is_file():
         raise ValueError(f"{run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
     grounding = build(GroundingCLI(["--config", str(config), "--run_dir", str(run)]))[0]
-    for path in sorted(run.glob("step_*/effects.json")):
+    for path in [*run.glob("step_00/looks.json"), *sorted(run.glob("step_*/effects.json"))]:
         grounding.worlds.repair(effect_from_dict(e) for e in json.loads(path.read_text())["effects"])
     return grounding
 

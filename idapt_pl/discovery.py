@@ -49,11 +49,14 @@ class Discovery:
         discover: look for them in every grounding step and add what is found to the source.
         candidates: names of the effects to consider.
         max_effects: stop after so many in a grounding step.
+        looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
+            frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
     """
 
     discover: bool = False
     candidates: tuple[str, ...] = CANDIDATES
     max_effects: int = 2
+    looks: bool = False
 
 
 @torch.no_grad()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from idapt_pl.appearance import discover_looks
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import effect_from_dict
 from idapt_pl.evaluation import Evaluation
@@ -89,7 +90,9 @@ class IterativeGrounding:
         """Run Algorithm 1, or what is left of it. Returns the summary (see ``summary.json``)."""
         pretrain, finetune = self.schedule.pretrain, self.schedule.finetune
 
-        D_S, D_T = [self.explore_source()], [self.explore_target()]
+        D_T = [self.explore_target()]
+        self.repair_looks(D_T[0])
+        D_S = [self.explore_source()]
         P_S = self.fit.state_predictor(0, D_S, pretrain.state_predictor, None)
         pi = self.fit.source_policy(self.schedule.source_policy, P_S, D_S)
         self.evaluation.direct_transfer(pi)
@@ -137,6 +140,17 @@ class IterativeGrounding:
     def roll_out_grounded(self, k: int, pi, G, F) -> Path:
         """D^S_online: the current policy in the grounded source; source images and states are kept."""
         return self._record_source(k, lambda seed: pi.act, G, F, self.schedule.interactions)
+
+    def repair_looks(self, D_T: Path) -> None:
+        """Add to the source the visual effects that the first frames of the target's episodes show it lacks."""
+        if not self.effects.looks:
+            return
+
+        def make(seed: int) -> dict:
+            return discover_looks(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
+
+        found = self.stages.measure(0, "looks", make)["effects"]
+        self.worlds.repair(effect_from_dict(e) for e in found)
 
     def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G, pi) -> bool:
         """Add to the source the effects that the target's images show it lacks. Returns whether there were any.

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from idapt_pl.domains.effects import Effect, elements, parameter
 from idapt_pl.domains.packaged import packaged_file
@@ -227,3 +228,25 @@ class Renderer(Effect):
         if self.engine not in ("classic", "filament"):
             raise ValueError(f"renderer: engine must be classic or filament, got {self.engine!r}")
         spec.add_text(name=ENGINE, data=self.engine)
+
+
+BLUR = "blur"
+"""Name of the model's number that says how much its images are blurred."""
+
+
+@dataclass(frozen=True)
+class Blur(Effect):
+    """How much images are blurred: a Gaussian, its spread as a share of the image's side. Target is ``"world"``."""
+
+    name: ClassVar[str] = "blur"
+    sigma: float = parameter("1", 0.0, 0.5)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        number = spec.numeric(BLUR) or spec.add_numeric(name=BLUR, size=1)
+        number.data = [self.sigma]
+
+
+def blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """A picture (H, W, 3), blurred by a Gaussian of ``sigma`` times its side."""
+    width = sigma * len(picture)
+    return gaussian_filter(picture, (width, width, 0), mode="nearest") if sigma > 0 else picture

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.domains import filament
-from idapt_pl.domains.looks import CAMERA, ENGINE
+from idapt_pl.domains.looks import BLUR, CAMERA, ENGINE, blurred
 
 log = logging.getLogger(__name__)
 
@@ -22,11 +22,16 @@ class RenderingUnavailable(RuntimeError):
     """No OpenGL context could be made; the message says what to install."""
 
 
-def make_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filament.FilamentRenderer:
+def make_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filament.FilamentRenderer | BlurredRenderer:
     """The renderer that a model asks for, or the classic one where there is no Vulkan for Filament.
 
     ``IDAPT_RENDERER=classic`` in the environment asks for the classic one everywhere: it is many times faster.
     """
+    sharp, sigma = _sharp_renderer(model, size), blur_of(model)
+    return BlurredRenderer(sharp, sigma) if sigma > 0 else sharp
+
+
+def _sharp_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filament.FilamentRenderer:
     if engine_of(model) == "filament":
         if filament_is_used():
             return filament.FilamentRenderer(model, size)
@@ -49,9 +54,34 @@ def engine_of(model: mujoco.MjModel) -> str:
     return bytes(model.text_data[start : start + model.text_size[i] - 1]).decode()
 
 
+def blur_of(model: mujoco.MjModel) -> float:
+    """Spread of the Gaussian that a model's images are blurred by, as a share of their side."""
+    i = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, BLUR)
+    return float(model.numeric_data[model.numeric_adr[i]]) if i >= 0 else 0.0
+
+
 @functools.cache
 def _warn_once(message: str) -> None:
     log.warning(message)
+
+
+class BlurredRenderer:
+    """Renders with another renderer and blurs what it gives."""
+
+    def __init__(self, sharp: FrameRenderer | filament.FilamentRenderer, sigma: float) -> None:
+        self.size, self._sharp, self._sigma = sharp.size, sharp, sigma
+
+    def __call__(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
+        """Render ``data``. Returns uint8 (size, size, 3), written into ``out`` if given."""
+        soft = np.rint(blurred(self._sharp(data).astype(np.float32), self._sigma)).astype(np.uint8)
+        if out is None:
+            return soft
+        out[:] = soft
+        return out
+
+    def close(self) -> None:
+        """Close the other renderer."""
+        self._sharp.close()
 
 
 class FrameRenderer:
@@ -90,6 +120,11 @@ class FrameRenderer:
         """Render ``data``. Returns uint8 (size, size, 3), written into ``out`` if given."""
         self._renderer.update_scene(data, camera=CAMERA)
         return self._renderer.render(out=out)
+
+    def upload(self, texture: int) -> None:
+        """Take a texture of the model anew, after its pixels were edited."""
+        self._renderer._gl_context.make_current()
+        mujoco.mjr_uploadTexture(self._renderer._model, self._renderer._mjr_context, texture)
 
     def close(self) -> None:
         """Free the GL context. Without the switch to it, another renderer's textures would be freed."""

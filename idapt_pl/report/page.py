@@ -151,7 +151,7 @@ def step_section(record: Record, step: Step, metric: str, grounding: IterativeGr
     """One grounding step: in words, in pictures, in numbers."""
     model = grounding.worlds.source_domain.compile()
     parts = [paragraph(s) for s in story(record, step, metric)]
-    parts += [effects(step, model), looks(step, grounding), numbers(step, metric)]
+    parts += [appearance(step), effects(step, model), looks(step, grounding), numbers(step, metric)]
     title = f"Step {step.k}: {'G alone' if step.k == 0 else 'G, F and the policy'}"
     made = section(title, *(p for p in parts if p))
     return made.replace("<section>", '<section class="rolled">') if step.selection.get("rolled_back") else made
@@ -215,6 +215,30 @@ def frames(step: Step, grounding: IterativeGrounding) -> str:
         for name, images in rows.items()
     )
     return f'<div class="grid" style="grid-template-columns: 6.5rem repeat({len(seen.source)}, 92px)">{cells}</div>'
+
+
+def appearance(step: Step) -> str:
+    """What the first frames of the target's episodes show the source to lack."""
+    if not step.looks:
+        return ""
+    before, after, floor = (number(step.looks[k]) for k in ("before", "after", "floor"))
+    told = paragraph(
+        f"The mean first frame of the target's episodes held out is {before} levels (of 255, root mean square) from "
+        f"the source's, and {after} from that of the source with the visual effects below; noise alone makes {floor}."
+    )
+    uri = f"data:image/png;base64,{step.looks['picture']}"
+    caption = "Mean first frames: source, source with the effects found, target."
+    picture = (
+        f'<figure class="clip"><img src="{uri}" alt="mean first frames"><figcaption>{caption}</figcaption></figure>'
+    )
+    rows = [
+        row(e["effect"], e["target"], name, f"#{number(value)}", f"#{number(e['std'][name])}", e["unit"])
+        for e in step.looks["estimates"]
+        for name, value in e["estimate"].items()
+    ]
+    heads = ("visual effect found", "where", "what", "#value", "#standard deviation", "unit")
+    values = f"<details><summary>Values</summary>\n{table(heads, rows)}</details>" if rows else ""
+    return told + f'<div class="look">{picture}</div>' + values
 
 
 def effects(step: Step, model: mujoco.MjModel) -> str:

@@ -9,8 +9,9 @@ from pathlib import Path
 import yaml
 
 ORDER = (
-    "source",
     "target",
+    "looks",
+    "source",
     "state_predictor",
     "source_teacher",
     "source_student",
@@ -41,6 +42,7 @@ class Step:
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         effects: what was found missing in the source, as in ``effects.json``.
         selection: whether F was kept, as in ``selection.json``.
+        looks: visual effects that were found missing in the source, as in ``looks.json``.
         seconds: wall-clock time of every finished stage, s, in the order of Algorithm 1.
         interactions: target control steps that training had used when this step's policy was made.
     """
@@ -50,6 +52,7 @@ class Step:
     evaluation: dict
     effects: dict
     selection: dict
+    looks: dict
     seconds: dict[str, float]
     interactions: int
 
@@ -131,7 +134,7 @@ def read_step(folder: Path, ledger: list[dict], read) -> Step:
     """Read the folder of one grounding step."""
     k = int(folder.name.removeprefix("step_"))
     used = sum(e["count"] for e in ledger if e["purpose"] == "training" and e["step"] <= k)
-    measured = [read(folder / f"{name}.json") for name in ("evaluation", "effects", "selection")]
+    measured = [read(folder / f"{name}.json") for name in ("evaluation", "effects", "selection", "looks")]
     found = map(read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")]))
     seconds = {t["stage"]: t["wall_s"] for t in found if {"stage", "wall_s"} <= set(t)}
     return Step(k, folder, *measured, {name: seconds[name] for name in sorted(seconds, key=place)}, used)

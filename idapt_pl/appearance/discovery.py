@@ -1,0 +1,54 @@
+"""From a recording of the target to the visual effects that a grounding step adds, as JSON."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+from datamodules.trajectories import open_trajectory_file
+from idapt_pl.appearance.knobs import Knob
+from idapt_pl.appearance.search import find_looks
+from idapt_pl.domains import WHOLE, Domain, View
+from idapt_pl.tasks import Task
+
+
+def discover_looks(task: Task, source: Domain, target: Path, seed: int, view: View = WHOLE) -> dict:
+    """Find visual effects in a trajectory file of the target. Arguments as for :func:`find_looks`.
+
+    Returns:
+        ``effects`` found (a list as in effects.yaml); their ``estimates``, with standard deviations; errors ``before``
+        and ``after`` on episodes held out and the noise ``floor``, root mean square, in 8-bit levels; the ``trail`` of
+        the search; and the mean pictures of source, repaired source and target as a ``picture``, a PNG in base64.
+    """
+    looks = find_looks(task, source, first_frames(target), seed, view)
+    spec = source.spec()
+
+    def named(knob: Knob, values: np.ndarray) -> dict[str, float]:
+        return dict(zip(knob.labels, values.tolist(), strict=True))
+
+    return {
+        "effects": [e.to_dict() for k, v in looks.settings.items() for e in k.effects(spec, v)],
+        "estimates": [
+            {"effect": k.name, "target": k.target, "unit": k.unit, "nominal": named(k, k.nominal),
+             "estimate": named(k, v), "std": named(k, looks.spread[k])}
+            for k, v in looks.settings.items()
+        ],
+        "before": looks.before, "after": looks.after, "floor": looks.floor, "trail": looks.trail,
+        "picture": side_by_side(looks.pictures),
+    }  # fmt: skip
+
+
+def first_frames(path: Path) -> np.ndarray:
+    """The first frame of every episode of a trajectory file: uint8 (n, H, W, 3)."""
+    with open_trajectory_file(path) as f:
+        return np.stack([f[f"episode_{i}/observations/pixels"][0] for i in range(int(f.attrs["total_episodes"]))])
+
+
+def side_by_side(pictures: Sequence[np.ndarray]) -> str:
+    """Pictures (H, W, 3), 0 to 1, in a row, as a PNG in base64."""
+    row = np.rint(255 * np.concatenate(pictures, 1).clip(0, 1)).astype(np.uint8)
+    return base64.b64encode(iio.imwrite("<bytes>", row, extension=".png")).decode()

@@ -1,0 +1,142 @@
+"""Visual effects from first frames: knobs say what their effects say, planted ones are found, and nothing else."""
+
+from contextlib import closing
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from datamodules import Episode, Trajectories, write_trajectories
+from idapt_pl.appearance import discover_looks, find_looks
+from idapt_pl.appearance.fit import levenberg_marquardt
+from idapt_pl.appearance.knobs import Camera, Lamp, Paint, Sky, Softness, knobs
+from idapt_pl.appearance.pictures import FirstFrames
+from idapt_pl.domains import Domain, effect_from_dict
+from idapt_pl.domains.looks import Blur, Color, Light, Renderer
+from idapt_pl.domains.rendering import make_renderer
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.tasks import make_task
+
+PENDULUM = make_task("inverted_pendulum")
+TURNED = {
+    Camera: [0.05, -0.04, 0.1, 0.03, -0.02, 0.05],
+    Lamp: [0.3, 0.5, 0.2, 0.4, 0.3, 0.1],
+    Paint: [0.9, 0.2, 0.1],
+    Sky: [0.2, 0.5, 0.7, 0.1, 0.05, 0.3],
+    Softness: [4.0],
+}
+
+
+def begins(task, effects, size=40, episodes=12):
+    """First frames of episodes in the task's source with effects."""
+    source = task.domain("source")
+    target = Domain("target", source.base, (*source.effects, *effects))
+    with closing(VectorImageEnv(task, target, episodes, size, 1)) as env:
+        return env.reset(seed=3)[0]["pixels"][:, 0]
+
+
+@pytest.mark.parametrize("kind", TURNED)
+@pytest.mark.parametrize("name", ["inverted_pendulum", "half_cheetah"])
+def test_a_knob_shows_what_its_effects_show(name, kind):
+    task = make_task(name)
+    source = task.domain("source")
+    knob, values = next(k for k in knobs(source.spec()) if isinstance(k, kind)), np.array(TURNED[kind])
+    repaired = source.with_effects(*knob.effects(source.spec(), values))
+    with FirstFrames(task, source, 64, 3, seed=0) as frames, FirstFrames(task, repaired, 64, 3, seed=0) as others:
+        nominal, turned, said = frames.mean({}), frames.mean({knob: values}), others.mean({})
+    if kind is Softness:  # the effect is on what the environments render, which FirstFrames leaves to its knob
+        data = mujoco.MjData(model := repaired.compile())
+        task.reset(model, data, np.random.default_rng(0))
+        mujoco.mj_forward(model, data)
+        with closing(make_renderer(model, 64)) as soft, FirstFrames(task, source, 64, 1, seed=0) as one:
+            turned, said = one.mean({knob: values}), soft(data) / 255
+    changed = np.abs(turned - nominal).mean()
+    assert changed > 0.3 / 255, "the knob does nothing, so this says nothing"
+    assert np.abs(turned - said).mean() < 0.1 * changed
+
+
+def test_turning_knobs_back_shows_the_nominal_picture_again():
+    source = make_task("half_cheetah").domain("source")
+    settings = {k: np.array(TURNED[type(k)]) for k in knobs(source.spec())}
+    with FirstFrames(make_task("half_cheetah"), source, 32, 2, seed=0) as frames:
+        before, turned, after = frames({}), frames(settings), frames({})
+    assert (before == after).all()
+    assert (before != turned).any()
+
+
+def test_blurred_images_are_those_of_the_renderer_under_a_gaussian():
+    sharp, soft = begins(PENDULUM, (), episodes=1)[0], begins(PENDULUM, (Blur("world", 0.03),), episodes=1)[0]
+    expected = gaussian_filter(sharp.astype(float), (0.03 * 40, 0.03 * 40, 0), mode="nearest")
+    assert np.abs(soft - expected).max() <= 0.51
+
+
+def test_nothing_is_found_where_nothing_is_planted():
+    looks = find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
+    assert not looks.settings
+    assert looks.before < 2 * looks.floor
+
+
+@pytest.mark.parametrize(
+    ("effect", "key", "truth"),
+    [
+        (Color("cart", (0.2, 0.3, 0.8, 1)), ("color", "cart"), [0.2, 0.3, 0.8]),
+        (
+            Light("headlight", diffuse=(0.5, 0.4, 0.3), ambient=(0.15, 0.1, 0.05)),
+            ("light", "headlight"),
+            [0.5, 0.4, 0.3, 0.15, 0.1, 0.05],
+        ),
+        (Blur("world", 0.025), ("blur", "world"), [6.25]),
+    ],
+)
+def test_a_planted_visual_effect_is_found_alone(effect, key, truth):
+    looks = find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (effect,)), seed=1, draws=4)
+    assert [k.key for k in looks.settings] == [key]
+    (found,) = looks.settings.values()
+    assert found == pytest.approx(truth, rel=0.15, abs=0.05)
+    assert looks.after < max(0.2 * looks.before, 1.5 * looks.floor) < looks.before
+
+
+def test_a_camera_that_was_bumped_is_found():
+    source = PENDULUM.domain("source")
+    camera = next(k for k in knobs(source.spec()) if isinstance(k, Camera))
+    bump = np.array([0.04, -0.03, 0.06, 0.02, -0.015, 0.03])
+    looks = find_looks(PENDULUM, source, begins(PENDULUM, camera.effects(source.spec(), bump), 48), seed=1, draws=6)
+    assert [k.key for k in looks.settings] == [camera.key]
+    (moved,) = looks.settings.values()
+    # Small shifts and turns look alike; what the picture shows is where things are in it, and how it is turned.
+    assert moved[0] / 2.04 - moved[4] == pytest.approx(bump[0] / 2.04 - bump[4], abs=0.005)
+    assert moved[5] == pytest.approx(bump[5], abs=0.005)
+    assert looks.after < 0.3 * looks.before
+
+
+def test_what_is_found_in_a_file_can_be_added_to_the_source(tmp_path):
+    frames = begins(PENDULUM, (Color("cart", (0.2, 0.3, 0.8, 1)),))
+    episodes = tuple(Episode(np.zeros((1, 1), np.float32), {"pixels": np.stack([f, f])}) for f in frames)
+    write_trajectories(tmp_path / "d.h5", Trajectories(episodes, 0.04, "test"))
+    source = PENDULUM.domain("source")
+    found = discover_looks(PENDULUM, source, tmp_path / "d.h5", seed=0)
+    repaired = source.with_effects(*map(effect_from_dict, found["effects"]))
+    assert repaired.compile().geom("cart").rgba[:3] == pytest.approx([0.2, 0.3, 0.8], abs=0.05)
+    assert found["after"] < 0.2 * found["before"]
+    assert found["estimates"][0]["std"]["red"] > 0
+
+
+def test_too_few_episodes_are_refused():
+    with pytest.raises(ValueError, match="at least 4 episodes, got 3"):
+        find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (), episodes=3), seed=0)
+
+
+def test_a_source_of_another_engine_is_refused():
+    other = PENDULUM.domain("source").with_effects(Renderer("world", engine="filament"))
+    with pytest.raises(ValueError, match="classic renderer"):
+        FirstFrames(PENDULUM, other, 32, 2, seed=0)
+
+
+def test_least_squares_stay_within_bounds():
+    target = np.array([2.0, -0.5])
+    solve = lambda low, high: levenberg_marquardt(  # noqa: E731
+        lambda x, few=False: x - target, np.zeros(2), np.full(2, 0.1), low, high, np.ones(2, bool), 20
+    )[0]
+    assert solve(np.full(2, -9.0), np.full(2, 9.0)) == pytest.approx(target, abs=1e-3)
+    assert solve(np.full(2, -9.0), np.full(2, 1.0)) == pytest.approx([1.0, -0.5], abs=1e-3)
