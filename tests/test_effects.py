@@ -31,6 +31,7 @@ from idapt_pl.domains.effects import (
     Payload,
 )
 from idapt_pl.domains.looks import (
+    Blur,
     CameraFrame,
     CameraPose,
     Color,
@@ -117,6 +118,7 @@ EXAMPLES = [
     Light("headlight", diffuse=(0.1, 0.2, 0.3), ambient=(0, 0, 0.5)),
     Color("box", (0.1, 0.2, 0.3, 1)),
     CameraFrame("view", (0, -2, 1), xyaxes=(1, 0, 0, 0, 0, 1)),
+    Blur("world", 0.01),
     Texture("sky", flat=(0.2, 0.3, 0.4), fade_to=(0, 0, 0)),
     Material("floor", dm_control="grid"),
     Scenery("world", "interior", position=(1, 2, 0)),
