@@ -71,6 +71,15 @@ def test_blurred_images_are_those_of_the_renderer_under_a_gaussian():
     assert np.abs(soft - expected).max() <= 0.51
 
 
+def test_a_source_that_is_blurred_already_is_shown_blurred():
+    soft = PENDULUM.domain("source").with_effects(Blur("world", 0.02))
+    knob = next(k for k in knobs(soft.spec()) if isinstance(k, Softness))
+    assert knob.nominal == pytest.approx([4.0])
+    with FirstFrames(PENDULUM, soft, 32, 2, seed=0) as frames:
+        assert frames.mean({}) == pytest.approx(frames.mean({knob: knob.nominal}))
+        assert np.abs(frames.mean({}) - frames.mean({knob: np.zeros(1)})).max() > 0.05
+
+
 def test_nothing_is_found_where_nothing_is_planted():
     looks = find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
     assert not looks.settings

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from idapt_pl.domains import Domain, Effect
 from idapt_pl.domains.looks import CAMERA, Blur, CameraFrame, Color, Light, Texture, blurred
+from idapt_pl.domains.rendering import blur_of
 
 Numbers = np.ndarray
 
@@ -205,7 +206,10 @@ def knobs(spec: mujoco.MjSpec) -> list[Knob]:
     one = np.ones(3)
     reach = np.array([distance(model)] * 3 + [1.0] * 3)
     camera = Camera(CAMERA, np.zeros(6), 0.01 * reach, -0.5 * reach, 0.5 * reach)
-    found: list[Knob] = [camera, Softness("world", np.zeros(1), np.full(1, 0.5), np.zeros(1), np.full(1, 400.0))]
+    found: list[Knob] = [
+        camera,
+        Softness("world", np.full(1, (100 * blur_of(model)) ** 2), np.full(1, 0.5), np.zeros(1), np.full(1, 400.0)),
+    ]
 
     def lamp(name: str, diffuse: np.ndarray, ambient: np.ndarray) -> Lamp:
         return Lamp(name, np.concatenate([diffuse, ambient]).astype(float), np.full(6, 0.05), np.zeros(6), np.ones(6))

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from idapt_pl.appearance.knobs import Knob, sky_pixels, sky_texture, with_sky
+from idapt_pl.appearance.knobs import Knob, Softness, sky_pixels, sky_texture, with_sky
 from idapt_pl.domains import WHOLE, Domain, View
-from idapt_pl.domains.looks import CAMERA
-from idapt_pl.domains.rendering import FrameRenderer, engine_of
+from idapt_pl.domains.looks import CAMERA, blurred
+from idapt_pl.domains.rendering import FrameRenderer, blur_of, engine_of
 from idapt_pl.tasks import Task
 
 Settings = Mapping[Knob, np.ndarray]
@@ -97,6 +97,8 @@ class FirstFrames(AbstractContextManager):
         Blurring it is the same as the mean of blurred ones.
         """
         picture = self(settings, FEW if few else None).mean(0) / 255
+        if not any(isinstance(knob, Softness) for knob in settings):
+            picture = blurred(picture, blur_of(self.nominal))
         for knob, values in settings.items():
             picture = knob.develop(picture, values)
         return picture
