@@ -12,7 +12,6 @@ domain and policy are replaced. Trained policies are kept below runs/bounds and 
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
 import json
 from pathlib import Path
@@ -21,6 +20,7 @@ import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is impor
 
 # isort: split
 import numpy as np
+from tables import replace_rows
 
 from cli.collect import plain_trainer
 from cli.provenance import cpu_model, git_commit
@@ -50,16 +50,6 @@ def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> list[dic
     return found
 
 
-def write(path: Path, new: list[dict]) -> None:
-    """Put rows into the table, in place of those with the same key."""
-    old = list(csv.DictReader(path.open())) if path.exists() else []
-    table = {tuple(str(row[k]) for k in KEY): row for row in [*old, *new]}
-    with path.open("w", newline="") as f:
-        writer = csv.DictWriter(f, [*new[0]], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table.values())
-
-
 def main() -> None:
     """Measure the bounds."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -73,7 +63,7 @@ def main() -> None:
         recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
         for seed in o.seeds:
             new = rows(make_task(name), seed, recipe, o.episodes)
-            write(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new])
+            replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ baselines are in benchmarks/diagnosis_baselines.py.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from dataclasses import replace
@@ -25,6 +24,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import mujoco
 import numpy as np
+from tables import read_rows, write_rows
 from tqdm import tqdm
 
 from benchmarks.undeclared.cases import CASES, Case
@@ -33,7 +33,6 @@ from benchmarks.undeclared.models import UNSEEN
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import diagnose
-from idapt_pl.files import write_atomically
 
 FIELDS = (
     "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",
@@ -113,17 +112,9 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     }  # fmt: skip
 
 
-def write(path: Path, rows: list[dict], fields: tuple[str, ...] = FIELDS) -> None:
-    """All rows, sorted, atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-
-    def dump(temporary: Path) -> None:
-        with temporary.open("w", newline="") as f:
-            table = csv.DictWriter(f, fields)
-            table.writeheader()
-            table.writerows(sorted(rows, key=lambda r: (r.get("optimizer", ""), r["kind"], r["case"], int(r["seed"]))))
-
-    write_atomically(path, dump)
+def in_order(rows: list[dict]) -> list[dict]:
+    """By model, case and seed."""
+    return sorted(rows, key=lambda r: (r.get("optimizer", ""), r["kind"], r["case"], int(r["seed"])))
 
 
 def summarise(rows: list[dict]) -> str:
@@ -165,7 +156,7 @@ def main() -> None:
     p.add_argument("--out", type=Path, help="default results/diagnosis.csv, or diagnosis_positions.csv")
     o = p.parse_args()
     o.out = o.out or ROOT / "results" / f"diagnosis{'_positions' * o.positions}.csv"
-    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    rows = read_rows(o.out)
     wanted = [(c, s) for s in o.seeds for c in o.cases] if not o.summary else []
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         same = [r for r in rows if (r["case"], int(r["seed"])) == (name, seed)]
@@ -173,7 +164,7 @@ def main() -> None:
             continue
         row = run(CASES[name], seed, o)
         rows = [r for r in rows if r not in same] + [row]
-        write(o.out, rows)
+        write_rows(o.out, in_order(rows), FIELDS)
         r = rows[-1]
         errors = f"{float(r['before']):.3g} -> {float(r['after']):.3g}"
         print(

@@ -20,7 +20,6 @@ command, and corrects the simulation step by step. It names nothing. Writes resu
 from __future__ import annotations
 
 import argparse
-import csv
 import io
 import sys
 import time
@@ -34,9 +33,10 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from tables import read_rows, write_rows
 from tqdm import tqdm
 
-from benchmarks.diagnosis import record, write
+from benchmarks.diagnosis import in_order, record
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
 from idapt_pl.diagnosis.data import Windows
@@ -280,13 +280,13 @@ def main() -> None:
     p.add_argument("--out", type=Path, default=ROOT / "results" / "diagnosis_baselines.csv")
     o = p.parse_args()
     o.positions = False
-    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    rows = read_rows(o.out)
     done = {(r["case"], int(r["seed"]), r["optimizer"]) for r in rows}
     wanted = [(c, s) for s in o.seeds for c in o.cases if (c, s, o.optimizer) not in done and not o.summary]
     for name, seed in tqdm(wanted, unit="case", disable=not sys.stderr.isatty()):
         row = run(CASES[name], seed, o)
         rows.append(row)
-        write(o.out, rows, FIELDS)
+        write_rows(o.out, in_order(rows), FIELDS)
         print(*(row[k] for k in FIELDS[:-1]), flush=True)
     for optimizer in sorted({r["optimizer"] for r in rows}):
         print(f"--- optimizer {optimizer}\n" + summarise([r for r in rows if r["optimizer"] == optimizer]))

@@ -11,7 +11,6 @@ mass use it on motions that it was not trained on. Writes results/discovery.csv.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from contextlib import closing
@@ -22,6 +21,8 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
+from tables import read_rows, write_rows
+
 from cli.run_folder import load_estimator, load_visual, open_run
 from datamodules import write_trajectories
 from idapt_pl.discovery import Discovery, discover
@@ -29,7 +30,6 @@ from idapt_pl.domains import Domain
 from idapt_pl.domains.effects import ActuatorGain, BodyMass, Effect, JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.files import write_atomically
 from idapt_pl.rollout import EXPLORATION, collect
 
 OWN_MASS = 4.895
@@ -93,26 +93,14 @@ def main() -> None:
     p.add_argument("--runs", type=Path, default=ROOT / "runs", help="where benchmarks/quick.py left its runs")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
     o = p.parse_args()
-    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    rows = read_rows(o.out)
     for seed in o.seeds:
         for name in o.cases:
             if any(r["case"] == name and int(r["seed"]) == seed for r in rows):
                 continue
             rows.append(run(name, seed, o.steps, o.runs / f"benchmark_pendulum_quick_IDAPT_{seed}"))
             print({k: v for k, v in rows[-1].items() if v != ""}, flush=True)
-            write(o.out, rows)
-
-
-def write(path: Path, rows: list[dict]) -> None:
-    """All rows, atomically."""
-
-    def dump(temporary: Path) -> None:
-        with temporary.open("w", newline="") as f:
-            table = csv.DictWriter(f, FIELDS)
-            table.writeheader()
-            table.writerows(rows)
-
-    write_atomically(path, dump)
+            write_rows(o.out, rows, FIELDS)
 
 
 if __name__ == "__main__":

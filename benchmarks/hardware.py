@@ -10,7 +10,6 @@ row a rig and channel: root-mean-square prediction error on held-out episodes be
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import h5py
+from tables import read_rows, write_rows
 
 from datamodules import read_trajectories
 from idapt_pl.diagnosis import diagnose
@@ -98,13 +98,10 @@ def main() -> None:
     if not o.folder.is_dir():
         print(f"{o.folder} is not there: nothing to do")
         return
-    kept = [r for r in csv.DictReader(o.out.open()) if r["rig"] not in o.rigs] if o.out.exists() else []
+    kept = [r for r in read_rows(o.out) if r["rig"] not in o.rigs]
     for name in o.rigs:
         kept += run(o.folder, name, o.report)
-        with o.out.open("w", newline="") as f:
-            table = csv.DictWriter(f, FIELDS)
-            table.writeheader()
-            table.writerows(kept)
+        write_rows(o.out, kept, FIELDS)
         for r in kept:
             if r["rig"] == name:
                 print({k: r[k] for k in FIELDS[:8]}, r["seconds"], "s", flush=True)

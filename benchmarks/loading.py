@@ -8,6 +8,7 @@ Rates are medians of several timed runs.
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
 from contextlib import closing
@@ -44,6 +45,7 @@ def record(folder: Path, size: int) -> tuple[Path, Path]:
 
 def main() -> None:
     """Measure everything."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for size in SIZES:

@@ -10,7 +10,6 @@ effects. Errors are those of mean pictures on episodes held out, in 8-bit levels
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from contextlib import closing
@@ -22,6 +21,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
 import numpy as np
+from tables import read_rows, write_rows
 
 from cli.provenance import git_commit
 from idapt_pl.appearance import Looks, find_looks
@@ -29,7 +29,6 @@ from idapt_pl.appearance.knobs import Camera, knobs
 from idapt_pl.domains import Domain, Effect
 from idapt_pl.domains.looks import Blur, Color, Light
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.files import write_atomically
 from idapt_pl.tasks import TASKS, Task, make_task
 
 GEOM = {
@@ -116,7 +115,7 @@ def main() -> None:
     p.add_argument("--episodes", type=int, default=20)
     p.add_argument("--out", type=Path, default=ROOT / "results/looks.csv")
     o = p.parse_args()
-    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    rows = read_rows(o.out)
     for name in o.tasks:
         for case in o.cases:
             for seed in o.seeds:
@@ -124,15 +123,7 @@ def main() -> None:
                     continue
                 rows.append(run(name, case, seed, o.episodes))
                 print(*rows[-1].values(), flush=True)
-                write_atomically(o.out, lambda path: write(path, rows))
-
-
-def write(path: Path, rows: list[dict]) -> None:
-    """All rows."""
-    with path.open("w", newline="") as f:
-        table = csv.DictWriter(f, FIELDS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+                write_rows(o.out, rows, FIELDS)
 
 
 if __name__ == "__main__":

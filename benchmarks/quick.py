@@ -13,11 +13,12 @@ Failures stay in the table. An ablation gets rows of its own:
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import subprocess
 import sys
 from pathlib import Path
+
+from tables import replace_rows
 
 ROOT = Path(__file__).parents[1]
 FIELDS = (
@@ -90,16 +91,6 @@ def rows(folder: Path, method: str) -> list[dict]:
     ]  # fmt: skip
 
 
-def write(path: Path, method: str, seed: int, new: list[dict]) -> None:
-    """Put the rows of a run into the table, in place of those of the same method and seed."""
-    old = list(csv.DictReader(path.open())) if path.exists() else []
-    table = [r for r in old if (r["run"], r["seed"]) != (method, str(seed))] + new
-    with path.open("w", newline="") as f:
-        writer = csv.DictWriter(f, FIELDS)
-        writer.writeheader()
-        writer.writerows(table)
-
-
 def main() -> None:
     """Run the benchmark."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -112,7 +103,7 @@ def main() -> None:
     name = f"benchmark_{o.config}_{o.method.replace(' ', '_')}"
     for seed in o.seeds:
         new = rows(run(ROOT / f"configs/{o.config}.yaml", seed, extra, name), o.method)
-        write(o.out, o.method, seed, new)
+        replace_rows(o.out, new, ("run", "seed"), FIELDS)
     print(o.out.read_text())
 
 

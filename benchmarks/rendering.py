@@ -9,7 +9,6 @@ draws are measured with the classic renderer too.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import platform
 import statistics
@@ -25,6 +24,7 @@ import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from tables import write_rows
 
 from idapt_pl.domains.filament import FilamentRenderer
 from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
@@ -64,10 +64,7 @@ def write_table(name: str, rows: list[dict]) -> None:
         table.add_row(*map(str, row.values()))
     Console().print(table)
     where = machine()
-    with open(RESULTS / f"{name}.csv", "w", newline="") as f:
-        writer = csv.DictWriter(f, [*rows[0], *where], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row | where for row in rows)
+    write_rows(RESULTS / f"{name}.csv", [row | where for row in rows])
 
 
 def frames_per_second(task: str, domain: str, size: int) -> list[dict]:

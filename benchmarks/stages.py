@@ -11,7 +11,6 @@ for in all its grounding steps, and the hours that makes. Evaluation and collect
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import platform
 import subprocess
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import torch
 import yaml
+from tables import replace_rows
 
 ROOT = Path(__file__).parents[1]
 FIELDS = ("config", "stage", "unit", "seconds_each", "units", "hours", "device", "threads")
@@ -82,12 +82,7 @@ def main() -> None:
     p.add_argument("--config", type=Path, default=ROOT / "configs/pendulum_hard.yaml")
     p.add_argument("--out", type=Path, default=ROOT / "results/stages.csv")
     o = p.parse_args()
-    kept = [r for r in csv.DictReader(o.out.open()) if r["config"] != o.config.stem] if o.out.exists() else []
-    kept += rows(o.config)
-    with o.out.open("w", newline="") as f:
-        table = csv.DictWriter(f, FIELDS)
-        table.writeheader()
-        table.writerows(kept)
+    replace_rows(o.out, rows(o.config), ("config",), FIELDS)
     print(o.out.read_text())
 
 

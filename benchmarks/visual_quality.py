@@ -16,7 +16,6 @@ runs/visual_quality/ each run keeps its picture, ``quality.png``. Columns, all o
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import json
 import sys
@@ -31,6 +30,7 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import numpy as np
 import yaml
 from rendering import machine
+from tables import read_rows, write_rows
 
 from cli.main import main as idapt
 from cli.provenance import git_commit
@@ -130,17 +130,14 @@ def main() -> None:
     p.add_argument("--state_batches", type=int, default=3000, help="to fit P^S, and the probe")
     p.add_argument("--out", type=Path, default=OUT)
     o = p.parse_args()
-    rows = list(csv.DictReader(o.out.open())) if o.out.exists() else []
+    rows = read_rows(o.out)
     done = {tuple(r[k] for k in KEYS) for r in rows}
     for seed, task, target, weight in itertools.product(o.seeds, o.tasks, o.targets, o.weights):
         if tuple(map(str, (task, target, weight, seed))) in done:
             continue
         rows.append(run(task, target, weight, seed, o))
         print({k: rows[-1][k] for k in (*KEYS, *MEASURED)}, flush=True)
-        with o.out.open("w", newline="") as f:
-            table = csv.DictWriter(f, rows[-1].keys(), lineterminator="\n")
-            table.writeheader()
-            table.writerows(rows)
+        write_rows(o.out, rows)
 
 
 if __name__ == "__main__":
