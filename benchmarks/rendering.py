@@ -13,7 +13,7 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from tables import write_rows
+from tables import replace_rows, write_rows
 
 from idapt_pl.domains.filament import FilamentRenderer
 from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
@@ -57,14 +57,18 @@ def rate(action: Callable[[], None], seconds: float = 0.5, runs: int = 3) -> flo
     return round(statistics.median(rates), 1)
 
 
-def write_table(name: str, rows: list[dict]) -> None:
-    """Print rows and write them to ``results/<name>.csv``, with the machine in the last columns."""
+def write_table(name: str, rows: list[dict], key: Sequence[str] = ()) -> None:
+    """Print rows and write them to ``results/<name>.csv``, with the machine in the last columns.
+
+    With a ``key``, rows that are there stay if they differ from all new ones in it.
+    """
     table = Table(*rows[0], title=name)
     for row in rows:
         table.add_row(*map(str, row.values()))
     Console().print(table)
     where = machine()
-    write_rows(RESULTS / f"{name}.csv", [row | where for row in rows])
+    path, rows = RESULTS / f"{name}.csv", [row | where for row in rows]
+    replace_rows(path, rows, key) if key else write_rows(path, rows)
 
 
 def frames_per_second(task: str, domain: str, size: int) -> list[dict]:

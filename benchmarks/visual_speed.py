@@ -2,7 +2,8 @@
 
     python benchmarks/visual_speed.py [--presets paper official fast] [--sizes 100 256] [--device cpu] [--rounds 3]
 
-Prints tables and writes ``results/visual_training.csv`` and ``results/visual_inference.csv``. All rows of one preset
+Prints tables and writes ``results/visual_training.csv`` and ``results/visual_inference.csv``; rows of other presets and
+sizes stay. All rows of one preset
 and size are measured in turns within one run, and their medians are compared.
 
 The reference loop is what one writes first, after the CycleGAN paper: float32, one pass for each thing that goes
@@ -56,6 +57,7 @@ VARIANTS = {
     "bfloat16 compiled": ("bf16-mixed", {"compile_nets": True}),
     "bfloat16 channels_last compiled": ("bf16-mixed", {"channels_last": True, "compile_nets": True}),
 }
+KEY = ("preset", "size", "batch", "device", "variant")
 WARM_UP = 3
 """Steps before the clock runs (more where networks are compiled: the first steps compile)."""
 
@@ -303,16 +305,13 @@ def main() -> None:
     warnings.filterwarnings("ignore")
     device = torch.device(o.device)
     o.variants = o.variants or [v for v in VARIANTS if device.type == "cuda" or "compiled" not in v]
-    training, inference = [], []
     for name, size in itertools.product(o.presets, o.sizes):
-        training += training_rows(name, size, device, o)
-        inference += inference_rows(name, size, device, o)
-        print(*training[-1 - len(o.variants) :], sep="\n", flush=True)
-    if o.dry:
-        print(*inference, sep="\n")
-        return
-    write_table("visual_training", training)
-    write_table("visual_inference", inference)
+        training, inference = training_rows(name, size, device, o), inference_rows(name, size, device, o)
+        if o.dry:
+            print(*training, *inference, sep="\n", flush=True)
+        else:
+            write_table("visual_training", training, KEY)
+            write_table("visual_inference", inference, KEY)
 
 
 if __name__ == "__main__":
