@@ -20,7 +20,7 @@ import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is impor
 
 # isort: split
 import numpy as np
-from tables import replace_rows
+from tables import read_rows, replace_rows
 
 from cli.collect import plain_trainer
 from cli.provenance import cpu_model, git_commit
@@ -50,6 +50,18 @@ def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> list[dic
     return found
 
 
+def summarise(table: list[dict]) -> str:
+    """Mean and spread over seeds of every policy's metric, a line each."""
+    groups: dict[tuple, list[float]] = {}
+    for row in table:
+        groups.setdefault((row["task"], row["domain"], row["policy"], row["metric"]), []).append(float(row["mean"]))
+    return "\n".join(
+        f"{task:18s} {domain:7s} {policy:16s} {metric} {np.mean(v):.4g} ± {np.std(v, ddof=len(v) > 1):.4g}"
+        f" ({len(v)} seed{'s' * (len(v) > 1)})"
+        for (task, domain, policy, metric), v in groups.items()
+    )
+
+
 def main() -> None:
     """Measure the bounds."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -58,12 +70,14 @@ def main() -> None:
     p.add_argument("--steps", type=int, help="environment steps of every policy; default the task's recipe")
     p.add_argument("--episodes", type=int, default=20)
     p.add_argument("--out", type=Path, default=ROOT / "results/bounds.csv")
+    p.add_argument("--summary", action="store_true", help="only print what is there")
     o = p.parse_args()
-    for name in o.task:
+    for name in o.task if not o.summary else ():
         recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
         for seed in o.seeds:
             new = rows(make_task(name), seed, recipe, o.episodes)
             replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)
+    print(summarise(read_rows(o.out)))
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ class ExpertRecipe:
 
 RECIPES = {
     "inverted_pendulum": ExpertRecipe(steps=8_000, updates_per_step=2),
-    "half_cheetah": ExpertRecipe(steps=150_000),
-    "walker2d": ExpertRecipe(steps=200_000),
+    "half_cheetah": ExpertRecipe(steps=60_000),
+    "walker2d": ExpertRecipe(steps=100_000),
     "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
     "sawyer_push": ExpertRecipe(steps=30_000, gamma=0.95),
 }
