@@ -9,6 +9,7 @@ See docs/diagnose.md.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,6 +26,7 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 from cli.arguments import parser, show_bar
 from cli.run_folder import load_estimator, open_run
 from datamodules import Trajectories, read_trajectories
+from idapt_pl.appearance import discover_looks
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -34,6 +36,8 @@ from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
 from idapt_pl.discovery import readings
 from idapt_pl.domains import Effect, effect_from_dict
+from idapt_pl.files import write_atomically
+from idapt_pl.grounding import IterativeGrounding
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -65,6 +69,9 @@ def main(args: list[str]) -> int:
     )
     p.add_argument("--candidates", nargs="+", metavar="EFFECT", help="consider these effects alone (default: all)")
     p.add_argument("--max-effects", type=int, default=Settings.max_effects, metavar="N", help="stop after so many")
+    p.add_argument(
+        "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
+    )
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
     o = p.parse_args(args)
@@ -74,10 +81,15 @@ def main(args: list[str]) -> int:
         raise ValueError(f"{o.out}: --out is a file; name a folder")
     if (o.model is None) == (o.run is None):
         p.error("give either --model (recordings of positions) or --run (recordings of images)")
+    if o.looks and o.run is None:
+        p.error("--looks compares images with what the source of a run shows: give --run")
     if o.run is None:
         model, trajectories = read_model(o.model), read_trajectories(o.data)
     else:
-        model, trajectories = read_images(o.run, o.data)
+        grounding = open_run(o.run)
+        if o.looks:
+            report_looks(grounding, o.data, o.out, o.seed)
+        model, trajectories = read_images(grounding, o.data)
     declared = read_effects(o.effects, model) if o.effects else ()
     try:
         with progress_bar() as progress:
@@ -92,12 +104,31 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def read_images(run: Path, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
+def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int) -> None:
+    """Say which visual effects the source of a run lacks; write ``looks.yaml`` and ``looks.png``.
+
+    Every episode must begin as the task's do.
+    """
+    worlds, console = grounding.worlds, Console()
+    found = discover_looks(worlds.task, worlds.source_domain, data, seed, worlds.view)
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(found["effects"])))
+    write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found["picture"])))
+    names = ", ".join(f"{e['effect']} of {e['target']}" for e in found["estimates"]) or "none was found"
+    before, after, floor = (number(found[k]) for k in ("before", "after", "floor"))
+    for sentence in (
+        f"visual effects that the source lacks: {names}.",
+        f"The recording's first frames are {before} levels of 255 from the source's, {after} with these effects; noise "
+        f"alone makes {floor}. {out / 'looks.png'} shows source, source with the effects, recording.",
+    ):
+        console.print(escape(sentence), soft_wrap=True, highlight=False)
+
+
+def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
     """The source of a run, and recordings of images as positions, read by the estimator of its last grounding step.
 
     The residuals then hold the estimator's errors, which depend on the state and are no white noise: see decision 17.
     """
-    grounding = open_run(run)
     spec = grounding.worlds.source_domain.spec()
     return spec, readings([data], load_estimator(grounding), spec.copy().compile().nq)
 

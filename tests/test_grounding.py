@@ -263,6 +263,17 @@ def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(fi
     assert (out / "report.html").stat().st_size > 0
 
 
+def test_the_looks_of_a_recording_are_compared_with_what_the_source_of_a_run_shows(finished_run, tmp_path, capsys):
+    data, out = finished_run / "step_00/source.h5", tmp_path / "seen"
+    options = ["--looks", "--candidates", "body_mass", "--max-effects", "1"]
+    assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *options]) == 0
+    assert yaml.safe_load((out / "looks.yaml").read_text()) == [], "the source looks like itself"
+    assert (out / "looks.png").read_bytes().startswith(b"\x89PNG")
+    assert "none was found" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        main(["diagnose", "--data", str(data), "--model", "m.xml", "--out", str(out), "--looks"])
+
+
 def test_a_run_of_a_version_that_did_not_know_some_keys_is_resumed_with_their_defaults(
     finished_run, tiny_args, tmp_path
 ):
