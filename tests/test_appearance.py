@@ -136,6 +136,11 @@ def test_too_few_episodes_are_refused():
         find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (), episodes=3), seed=0)
 
 
+def test_frames_that_are_not_square_are_refused():
+    with pytest.raises(ValueError, match=r"square images .* got shape \(4, 8, 6, 3\)"):
+        find_looks(PENDULUM, PENDULUM.domain("source"), np.zeros((4, 8, 6, 3), np.uint8), seed=0)
+
+
 def test_a_source_of_another_engine_is_refused():
     other = PENDULUM.domain("source").with_effects(Renderer("world", engine="filament"))
     with pytest.raises(ValueError, match="classic renderer"):

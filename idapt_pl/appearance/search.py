@@ -101,8 +101,11 @@ def find_looks(
         draws: starts drawn in the source for a mean picture.
 
     Raises:
-        ValueError: if there are fewer than four episodes, or the source is drawn by another engine.
+        ValueError: if there are fewer than four episodes, frames are not square, or the source is drawn by another
+            engine.
     """
+    if begins.ndim != 4 or begins.shape[1] != begins.shape[2]:
+        raise ValueError(f"first frames must be square images (n, size, size, 3), got shape {begins.shape}")
     if len(begins) < 4:
         raise ValueError(f"visual effects need the first frames of at least 4 episodes, got {len(begins)}")
     size, fitted, held_out = begins.shape[1], Average.of(begins[::2]), Average.of(begins[1::2])
