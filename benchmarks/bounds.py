@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
@@ -32,12 +33,12 @@ ROOT = Path(__file__).parents[1]
 KEY = ("task", "domain", "policy", "seed")
 
 
-def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> list[dict]:
-    """All bounds of one task and seed."""
+def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> Iterator[list[dict]]:
+    """All bounds of one task and seed, those of one policy at a time."""
     stages = Stages(ROOT / f"runs/bounds/{task.name}_{seed}_{recipe.steps}", seed, plain_trainer)
-    found = []
     for trained_in in ("source", "easy", "hard"):
         policy = train_expert(task, task.domain(trained_in), recipe, stages, trained_in)
+        found = []
         minutes = json.loads((stages.folder(0) / trained_in / "stage.json").read_text())["wall_s"] / 60
         for domain in ("source", "easy", "hard") if trained_in == "source" else (trained_in,):
             result = measure(policy, task, task.domain(domain), episodes, seed=1000 + seed)
@@ -47,7 +48,7 @@ def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> list[dic
             row |= {"return": round(float(np.mean(result.returns)), 3)}
             found.append(row | {"steps": recipe.steps, "minutes": round(minutes, 1)})
             print(*row.values(), flush=True)
-    return found
+        yield found
 
 
 def summarise(table: list[dict]) -> str:
@@ -75,8 +76,8 @@ def main() -> None:
     for name in o.task if not o.summary else ():
         recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
         for seed in o.seeds:
-            new = rows(make_task(name), seed, recipe, o.episodes)
-            replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)
+            for new in rows(make_task(name), seed, recipe, o.episodes):
+                replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)
     print(summarise(read_rows(o.out)))
 
 
