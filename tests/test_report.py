@@ -100,7 +100,7 @@ def test_a_killed_run_has_a_page_too_which_says_how_to_go_on(copied):
         (copied / name).unlink()
     text = report(copied).text
     assert f"{STEPS} of {STEPS + 1} steps are done" in text and f"idapt fit --config {copied}" in text
-    assert "This step did not end: there is no evaluation. Finished in it: source, target" in text
+    assert "This step did not end: there is no evaluation. Finished in it: target, source" in text
     assert "run.json is missing" in text
 
 
