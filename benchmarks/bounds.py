@@ -53,13 +53,18 @@ def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> Iterator
 
 def summarise(table: list[dict]) -> str:
     """Mean and spread over seeds of every policy's metric, a line each."""
-    groups: dict[tuple, list[float]] = {}
+    groups: dict[tuple[str, ...], list[float]] = {}
     for row in table:
         groups.setdefault((row["task"], row["domain"], row["policy"], row["metric"]), []).append(float(row["mean"]))
+
+    def figure(values: list[float]) -> str:
+        if len(values) == 1:
+            return f"{values[0]:.4g} (1 seed)"
+        return f"{np.mean(values):.4g} ± {np.std(values, ddof=1):.4g} ({len(values)} seeds)"
+
+    lines = ((*names, figure(values)) for names, values in groups.items())
     return "\n".join(
-        f"{task:18s} {domain:7s} {policy:16s} {metric} {np.mean(v):.4g} ± {np.std(v, ddof=len(v) > 1):.4g}"
-        f" ({len(v)} seed{'s' * (len(v) > 1)})"
-        for (task, domain, policy, metric), v in groups.items()
+        f"{task:18s} {domain:7s} {policy:16s} {metric} {told}" for task, domain, policy, metric, told in lines
     )
 
 

@@ -76,7 +76,7 @@ def run(name: str, case: str, seed: int, episodes: int) -> dict:
     source, effects = task.domain("source"), hidden(task, case)
     target = Domain("hidden", source.base, (*source.effects, *effects))
     with closing(VectorImageEnv(task, target, 1, 64, 1)) as env:
-        frames = np.concatenate([env.reset(seed=1000 * seed + i)[0]["pixels"][:, 0] for i in range(episodes)])
+        frames = np.concatenate([env.reset(seed=1000 * (seed + 1) + i)[0]["pixels"][:, 0] for i in range(episodes)])
     started = time.perf_counter()
     looks = find_looks(task, source, frames, seed)
     row = {"task": name, "case": case, "seed": seed, "episodes": episodes, **score(task, looks, effects, case)}
@@ -85,14 +85,14 @@ def run(name: str, case: str, seed: int, episodes: int) -> dict:
 
 def score(task: Task, looks: Looks, effects: tuple[Effect, ...], case: str) -> dict:
     """Which of the hidden effects were found, how many others, and how well the camera's place is known."""
-    found = {k.key for k in looks.settings}
-    truth = {(e.name, e.target) for e in effects}
-    named = {(n, t) for n, t in truth if any(n == m and t in targets.split() for m, targets in found)}
-    others = [key for key in found if not any(key[0] == n and t in key[1].split() for n, t in truth)]
-    row = {"found": " + ".join(f"{n}({t})" for n, t in found), "others": len(others)}
+    found = [{(k.name, target) for target in k.target.split()} for k in looks.settings]
+    # Two words for where a camera stands.
+    truth = {("camera_frame" if e.name == "camera_pose" else e.name, e.target) for e in effects}
+    others = [one for one in found if not one <= truth]
+    row = {"found": " + ".join(f"{k.name}({k.target})" for k in looks.settings), "others": len(others)}
     row |= {k: round(getattr(looks, k), 2) for k in ("before", "after", "floor")}
     if case not in ("easy", "hard"):
-        row["right"] = int(named == truth and not others)
+        row["right"] = int(set().union(*found) == truth)
     if "camera" in case:
         moved = next((v for k, v in looks.settings.items() if isinstance(k, Camera)), np.zeros(6))
         row["bump"], row["bump_error"] = (round(shift(task, v), 4) for v in (bump(task), moved - bump(task)))

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.appearance import discover_looks, find_looks
-from idapt_pl.appearance.fit import levenberg_marquardt
+from idapt_pl.appearance.fit import finite_differences
 from idapt_pl.appearance.knobs import Camera, Lamp, Paint, Sky, Softness, knobs
 from idapt_pl.appearance.pictures import FirstFrames
 from idapt_pl.domains import Domain, effect_from_dict
@@ -136,6 +136,13 @@ def test_too_few_episodes_are_refused():
         find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (), episodes=3), seed=0)
 
 
+def test_a_file_without_images_is_refused(tmp_path):
+    episode = Episode(np.zeros((1, 1), np.float32), {"qpos": np.zeros((2, 2))})
+    write_trajectories(tmp_path / "d.h5", Trajectories((episode,), 0.04, "test"))
+    with pytest.raises(ValueError, match=r"d.h5: there is no episode_0/observations/pixels"):
+        discover_looks(PENDULUM, PENDULUM.domain("source"), tmp_path / "d.h5", seed=0)
+
+
 def test_frames_that_are_not_square_are_refused():
     with pytest.raises(ValueError, match=r"square images .* got shape \(4, 8, 6, 3\)"):
         find_looks(PENDULUM, PENDULUM.domain("source"), np.zeros((4, 8, 6, 3), np.uint8), seed=0)
@@ -147,10 +154,12 @@ def test_a_source_of_another_engine_is_refused():
         FirstFrames(PENDULUM, other, 32, 2, seed=0)
 
 
-def test_least_squares_stay_within_bounds():
-    target = np.array([2.0, -0.5])
-    solve = lambda low, high: levenberg_marquardt(  # noqa: E731
-        lambda x, few=False: x - target, np.zeros(2), np.full(2, 0.1), low, high, np.ones(2, bool), 20
-    )[0]
-    assert solve(np.full(2, -9.0), np.full(2, 9.0)) == pytest.approx(target, abs=1e-3)
-    assert solve(np.full(2, -9.0), np.full(2, 1.0)) == pytest.approx([1.0, -0.5], abs=1e-3)
+def test_slopes_are_central_where_bounds_leave_room_and_one_sided_where_not():
+    def square(x):
+        return x**2
+
+    half, low, high = np.full(3, 0.5), np.zeros(3), np.full(3, 2.0)
+    central = np.array([True, False, True])
+    slopes = finite_differences(square, np.array([1.0, 1.0, 2.0]), half, low, high, central)
+    assert np.diag(slopes) == pytest.approx([2.0, 2.5, 3.5]), "2x, and (x + h)² - x² over h, and at the upper bound"
+    assert finite_differences(square, low, half, low, high, central)[0, 0] == pytest.approx(0.5)

@@ -43,9 +43,16 @@ def discover_looks(task: Task, source: Domain, target: Path, seed: int, view: Vi
 
 
 def first_frames(path: Path) -> np.ndarray:
-    """The first frame of every episode of a trajectory file: uint8 (n, H, W, 3)."""
+    """The first frame of every episode of a trajectory file: uint8 (n, H, W, 3).
+
+    Raises:
+        ValueError: if an episode has no images.
+    """
     with open_trajectory_file(path) as f:
-        return np.stack([f[f"episode_{i}/observations/pixels"][0] for i in range(int(f.attrs["total_episodes"]))])
+        names = [f"episode_{i}/observations/pixels" for i in range(int(f.attrs["total_episodes"]))]
+        if missing := [name for name in names if name not in f]:
+            raise ValueError(f"{path}: there is no {missing[0]}; visual effects are found in images")
+        return np.stack([f[name][0] for name in names])
 
 
 def side_by_side(pictures: Sequence[np.ndarray]) -> str:

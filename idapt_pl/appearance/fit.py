@@ -1,12 +1,14 @@
-"""Fits knobs to a mean picture: Levenberg-Marquardt on pixels, from coarse to fine."""
+"""Fits knobs to a mean picture: least squares on pixels, from coarse to fine."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import OptimizeResult, least_squares
 
 from idapt_pl.appearance.knobs import Knob
 from idapt_pl.appearance.pictures import Average, Settings
@@ -14,6 +16,10 @@ from idapt_pl.appearance.pictures import Average, Settings
 PIXEL = 1 / 255
 ERROR = 2 * PIXEL
 """What a pixel errs by even where everything is right: rounding, edges."""
+NEIGHBOURS = 9.0
+"""Pixels whose errors go together."""
+REACH = 10.0
+"""Noticeable steps that the first move of a search may be long."""
 Render = Callable[[Settings, bool], np.ndarray]
 
 
@@ -60,59 +66,32 @@ def fit(
         ends = np.cumsum([len(k.nominal) for k in knobs])[:-1]
         return dict(zip(knobs, np.split(values, ends), strict=True))
 
-    levels = max((k.levels for k in knobs), key=len) if coarse else (0.0,)
-    for level in levels:
+    def solve(start: np.ndarray, level: float) -> OptimizeResult:
+        width = level * len(w)
 
-        def residual(values: np.ndarray, few: bool = False, level: float = level) -> np.ndarray:
-            width = level * len(w)
+        def residual(values: np.ndarray, few: bool = False) -> np.ndarray:
             off = (render({**held, **split(values)}, few) - measured.mean) * w
             return (gaussian_filter(off, (width, width, 0)) if width else off).ravel()
 
-        x, slopes, r = levenberg_marquardt(
-            residual, x, step, low, high, central, iterations if level else 3 * iterations
-        )
+        def slopes(values: np.ndarray) -> np.ndarray:
+            return finite_differences(partial(residual, few=True), values, step, low, high, central)
+
+        most = iterations if level else 3 * iterations
+        return least_squares(residual, start, slopes, (low, high), ftol=1e-3, x_scale=REACH * step, max_nfev=most)
+
+    for level in max((k.levels for k in knobs), key=len) if coarse else (0.0,):
+        solved = solve(x, level)
+        x = solved.x
     # Errors of neighbouring pixels go together, so a picture has fewer independent ones than pixels.
-    information = slopes.T @ slopes / NEIGHBOURS
-    scale = max(1.0, float(np.mean(r**2)))
+    slopes_per_step = solved.jac * step
+    information = slopes_per_step.T @ slopes_per_step / NEIGHBOURS
+    scale = max(1.0, float(np.mean(solved.fun**2)))
     spread = np.sqrt(scale * np.diag(np.linalg.pinv(information + 1e-9 * np.eye(len(x))))) * step
     return Fit(split(x), split(spread))
 
 
-NEIGHBOURS = 9.0
-"""Pixels whose errors go together."""
-
-
-def levenberg_marquardt(
-    residual: Callable[..., np.ndarray], x: np.ndarray, step: np.ndarray, low: np.ndarray, high: np.ndarray,
-    central: np.ndarray, iterations: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Least squares within bounds. Returns the solution, slopes (m, d) per ``step``, and residuals (m,).
-
-    ``residual`` takes parameters, and whether it may be a cheaper one, as for slopes.
-    """
-    r, damping = residual(x), 1e-2
-    for _ in range(iterations):
-        slopes = finite_differences(lambda x: residual(x, True), x, step, low, high, central)
-        curvature, gradient = slopes.T @ slopes, slopes.T @ r
-        for _ in range(4):
-            move = np.linalg.solve(
-                curvature + damping * (np.diag(np.diag(curvature)) + 1e-6 * np.eye(len(x))), -gradient
-            )
-            new = np.clip(x + move * step, low, high)
-            r_new = residual(new)
-            if better := r_new @ r_new < r @ r:
-                break
-            damping *= 10
-        if not better:
-            break
-        gain, x, r, damping = 1 - (r_new @ r_new) / (r @ r), new, r_new, damping / 5
-        if gain < 1e-3:
-            break
-    return x, slopes, r
-
-
 def finite_differences(residual, x, step, low, high, central) -> np.ndarray:
-    """Slopes (m, d): central ones where asked for and the bounds leave room, else one-sided ones."""
+    """Slopes (m, d) over finite steps: central ones where asked for and the bounds leave room, else one-sided ones."""
     columns, r = [], residual(x)
     for i in range(len(x)):
         up, down = x.copy(), x.copy()
@@ -123,5 +102,5 @@ def finite_differences(residual, x, step, low, high, central) -> np.ndarray:
         if up[i] == x[i] or (central[i] and down[i] < x[i]):
             minus = residual(down)
         width = (up[i] if plus is not r else x[i]) - (down[i] if minus is not r else x[i])
-        columns.append((plus - minus) / width * step[i])
+        columns.append((plus - minus) / width)
     return np.stack(columns, 1)

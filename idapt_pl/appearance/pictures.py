@@ -6,6 +6,7 @@ is another, but their mean is, and the spread says how well it is known.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ class FirstFrames(AbstractContextManager):
         self.nominal = domain.compile(view)
         if engine_of(self.nominal) != "classic":
             raise ValueError(f"looks are found for domains that the classic renderer draws, not {domain.name!r}")
-        self.model = domain.compile(view)
+        self.model = copy.copy(self.nominal)
         self._render = FrameRenderer(self.model, size)
         self._uploaded = sky_pixels(self.model).copy()
         rng = np.random.default_rng(seed)

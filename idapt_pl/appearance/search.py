@@ -107,7 +107,7 @@ def find_looks(
     if begins.ndim != 4 or begins.shape[1] != begins.shape[2]:
         raise ValueError(f"first frames must be square images (n, size, size, 3), got shape {begins.shape}")
     if len(begins) < 4:
-        raise ValueError(f"visual effects need the first frames of at least 4 episodes, got {len(begins)}")
+        raise ValueError(f"visual effects need the first frames of at least 4 episodes, got {len(begins)}: record more")
     size, fitted, held_out = begins.shape[1], Average.of(begins[::2]), Average.of(begins[1::2])
     with (
         FirstFrames(task, source, size, draws, seed, view) as frames,

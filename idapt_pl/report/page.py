@@ -222,9 +222,14 @@ def appearance(step: Step) -> str:
     if not step.looks:
         return ""
     before, after, floor = (number(step.looks[k]) for k in ("before", "after", "floor"))
+    then = (
+        f"and {after} from that of the source with the visual effects below"
+        if step.looks["estimates"]
+        else ("and no visual effect was found that brings them nearer")
+    )
     told = paragraph(
         f"The mean first frame of the target's episodes held out is {before} levels (of 255, root mean square) from "
-        f"the source's, and {after} from that of the source with the visual effects below; noise alone makes {floor}."
+        f"the source's, {then}; noise alone makes {floor}."
     )
     uri = f"data:image/png;base64,{step.looks['picture']}"
     caption = "Mean first frames: source, source with the effects found, target."
