@@ -30,17 +30,18 @@ from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, Task, make_task
 
 ROOT = Path(__file__).parents[1]
+DOMAINS = ("source", "easy", "hard")
 KEY = ("task", "domain", "policy", "seed")
 
 
-def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int) -> Iterator[list[dict]]:
-    """All bounds of one task and seed, those of one policy at a time."""
+def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int, homes: list[str]) -> Iterator[list[dict]]:
+    """The bounds of one task and seed, those of one policy at a time; ``homes`` are the domains to train in."""
     stages = Stages(ROOT / f"runs/bounds/{task.name}_{seed}_{recipe.steps}", seed, plain_trainer)
-    for trained_in in ("source", "easy", "hard"):
+    for trained_in in homes:
         policy = train_expert(task, task.domain(trained_in), recipe, stages, trained_in)
         found = []
         minutes = json.loads((stages.folder(0) / trained_in / "stage.json").read_text())["wall_s"] / 60
-        for domain in ("source", "easy", "hard") if trained_in == "source" else (trained_in,):
+        for domain in DOMAINS if trained_in == "source" else (trained_in,):
             result = measure(policy, task, task.domain(domain), episodes, seed=1000 + seed)
             kind = "oracle" if trained_in == domain else "direct transfer"
             row = {"task": task.name, "domain": domain, "policy": kind, "seed": seed, "metric": task.metric}
@@ -73,6 +74,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS))
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    p.add_argument("--trained-in", choices=DOMAINS, nargs="+", default=DOMAINS, help="which policies")
     p.add_argument("--steps", type=int, help="environment steps of every policy; default the task's recipe")
     p.add_argument("--episodes", type=int, default=20)
     p.add_argument("--out", type=Path, default=ROOT / "results/bounds.csv")
@@ -81,7 +83,7 @@ def main() -> None:
     for name in o.task if not o.summary else ():
         recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
         for seed in o.seeds:
-            for new in rows(make_task(name), seed, recipe, o.episodes):
+            for new in rows(make_task(name), seed, recipe, o.episodes, o.trained_in):
                 replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)
     print(summarise(read_rows(o.out)))
 

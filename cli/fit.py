@@ -16,6 +16,7 @@ from cli.provenance import write_provenance
 from cli.table import print_summary
 from idapt_pl.discovery import Discovery
 from idapt_pl.domains import View
+from idapt_pl.domains.parallel import other_cores
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Factories, Feeding, Fitting
 from idapt_pl.grounding import IterativeGrounding, Schedule
@@ -72,6 +73,13 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
         parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
+        parser.add_argument(
+            "--render_processes",
+            type=int | None,
+            default=None,
+            help="further processes that render where several simulations run side by side; default one for each core "
+            "but one. Images do not depend on it",
+        )
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
@@ -120,6 +128,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
         config.image_size,
         config.frame_stack,
         config.view,
+        other_cores() if config.render_processes is None else config.render_processes,
     )
     stages = Stages(run_dir, config.seed, cli.trainer_for)
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}

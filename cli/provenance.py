@@ -16,7 +16,9 @@ from jsonargparse import ArgumentParser, Namespace
 from idapt_pl.domains.rendering import filament_is_used
 from idapt_pl.files import write_atomically, write_json
 
-CHANGE_NOTHING = {"config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers"}
+CHANGE_NOTHING = {
+    "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers", "render_processes",
+}  # fmt: skip
 """Keys that may differ in a resumed run."""
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")

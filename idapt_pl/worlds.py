@@ -27,6 +27,7 @@ class Worlds:
     image_size: int
     frame_stack: int
     view: View = WHOLE
+    render_processes: int = 0
 
     def repair(self, effects: Iterable[Effect]) -> None:
         """Add effects to the source, for all environments made from now on."""
@@ -34,7 +35,7 @@ class Worlds:
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
-        return VectorImageEnv(self.task, self.source_domain, num_envs, self.image_size, self.frame_stack, self.view)
+        return self._seen(self.source_domain, num_envs)
 
     def source_states(self, num_envs: int) -> VectorStateEnv:
         """The source: state and reward; nothing is rendered."""
@@ -57,7 +58,12 @@ class Worlds:
 
     def rewarded_target(self, num_envs: int) -> VectorImageEnv:
         """The target with its reward: for evaluation and the oracle reference, never for the method."""
-        return VectorImageEnv(self.task, self.target_domain, num_envs, self.image_size, self.frame_stack, self.view)
+        return self._seen(self.target_domain, num_envs)
+
+    def _seen(self, domain: Domain, num_envs: int) -> VectorImageEnv:
+        return VectorImageEnv(
+            self.task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes
+        )
 
     @property
     def dimensions(self) -> dict[str, Any]:

@@ -1,9 +1,12 @@
 """Image environments: laws of the grounded environment, time limits, frame stacks, determinism."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
-from idapt_pl.domains import View
+from idapt_pl.domains import Domain, View
+from idapt_pl.domains.looks import Blur
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 
 K, SIZE, N = 3, 16, 2
@@ -200,6 +203,22 @@ def test_view_up_shows_what_lies_above(make):
 def test_a_view_larger_than_the_image_is_refused():
     with pytest.raises(ValueError, match=r"view.share must be in \(0, 1\], got 2"):
         View(2.0)
+
+
+def test_frames_are_the_same_to_the_bit_whatever_process_renders_them(make):
+    """Three simulations in two processes, across resets and their final observations."""
+    actions = pushes(20, 3)
+    assert_same(play(make(3), actions), play(make(3, render_processes=1), actions))
+
+
+def test_frames_of_a_blurred_domain_are_too(cart):
+    source = cart.domain("source")
+    soft = Domain("soft", source.base, (*source.effects, Blur("world", 0.05)))
+    with (
+        closing(VectorImageEnv(cart, soft, 2, SIZE, 1)) as here,
+        closing(VectorImageEnv(cart, soft, 2, SIZE, 1, render_processes=1)) as there,
+    ):
+        assert_same(play(here, pushes(3)), play(there, pushes(3)))
 
 
 def test_set_state_shows_the_state_it_was_given(make):

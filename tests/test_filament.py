@@ -17,7 +17,7 @@ from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import make_task
 task = make_task("fetch_reach")
 one, two = (VectorImageEnv(task, task.domain("hard"), 1, size, 1) for size in (32, 24))
-assert isinstance(one._render, FilamentRenderer)
+assert isinstance(one._render._own, FilamentRenderer)
 first = one.reset(seed=0)[0]["pixels"]
 second = two.reset(seed=0)[0]["pixels"]          # two alive at a time, in turn
 again = one.reset(seed=0)[0]["pixels"]

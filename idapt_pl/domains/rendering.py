@@ -35,14 +35,19 @@ def _sharp_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filamen
     if engine_of(model) == "filament":
         if filament_is_used():
             return filament.FilamentRenderer(model, size)
-        why = filament.why_unavailable() or "IDAPT_RENDERER=classic"
+        why = "IDAPT_RENDERER=classic" if classic_is_asked_for() else filament.why_unavailable()
         _warn_once(f"{why}: the classic renderer draws what Filament should. {filament.CURE}")
     return FrameRenderer(model, size)
 
 
 def filament_is_used() -> bool:
     """Whether models that ask for Filament get it on this machine."""
-    return os.environ.get("IDAPT_RENDERER") != "classic" and filament.why_unavailable() is None
+    return not classic_is_asked_for() and filament.why_unavailable() is None
+
+
+def classic_is_asked_for() -> bool:
+    """Whether the user wants the classic renderer everywhere."""
+    return os.environ.get("IDAPT_RENDERER") == "classic"
 
 
 def engine_of(model: mujoco.MjModel) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from idapt_pl.domains import WHOLE, Domain, View
-from idapt_pl.domains.rendering import make_renderer
+from idapt_pl.domains.parallel import ParallelRenderer
 from idapt_pl.tasks import Task
 
 
@@ -31,6 +31,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         image_size: height and width of a frame, pixels.
         frame_stack: K.
         view: the part of the camera's image that is rendered.
+        render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
     """
 
     def __init__(
@@ -41,12 +42,13 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         image_size: int = 64,
         frame_stack: int = 3,
         view: View = WHOLE,
+        render_processes: int = 0,
     ):
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        self._render = self._make_renderer(image_size)
+        self._render = self._make_renderer(image_size, render_processes)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
@@ -71,8 +73,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         if seed is not None:
             self._rng = np.random.default_rng(seed)
-        for i in range(self.num_envs):
-            self._reset_one(i)
+        self._reset(np.arange(self.num_envs))
         return self._observe(), {}
 
     def step(self, actions: np.ndarray):
@@ -82,7 +83,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
             rewards[i], terminations[i] = self.task.step(self.model, data, actions[i])
-            self._look(i)
+        self._look()
         self._elapsed += 1
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
@@ -91,8 +92,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
             infos["success"] = np.array([self.task.success(self.model, data) for data in self.data])
         if done.any():
             infos |= {"final_obs": self._observe(), "_final_obs": done}
-            for i in np.flatnonzero(done):
-                self._reset_one(i)
+            self._reset(np.flatnonzero(done))
         return self._observe(), rewards, terminations, truncations, infos
 
     def show(self, i: int, other: mujoco.MjData) -> np.ndarray:
@@ -104,29 +104,28 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""
         self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, self.data[i])
-        self._render(self.data[i], out=self._frames[i, -1])
+        self._frames[i, -1] = self._render([self.data[i]])[0]
         return self._frames[i, -1].copy()
 
     def close_extras(self, **kwargs: Any) -> None:
         self._render.close()
 
-    def _reset_one(self, i: int) -> None:
-        mujoco.mj_resetData(self.model, self.data[i])
-        self.task.reset(self.model, self.data[i], self._rng)
-        mujoco.mj_forward(self.model, self.data[i])
-        self._elapsed[i] = 0
-        self._look(i, fresh=True)
+    def _reset(self, which: np.ndarray) -> None:
+        """Begin new episodes. The first frame of an episode fills the whole stack."""
+        for i in which:
+            mujoco.mj_resetData(self.model, self.data[i])
+            self.task.reset(self.model, self.data[i], self._rng)
+            mujoco.mj_forward(self.model, self.data[i])
+        self._elapsed[which] = 0
+        self._frames[which] = self._render([self.data[i] for i in which])[:, None]
 
-    def _make_renderer(self, size: int) -> Callable[..., np.ndarray]:
-        return make_renderer(self.model, size)
+    def _make_renderer(self, size: int, processes: int) -> Callable[[Sequence[mujoco.MjData]], np.ndarray]:
+        return ParallelRenderer(self.model, size, processes)
 
-    def _look(self, i: int, fresh: bool = False) -> None:
-        """Take the newest frame; the first of an episode fills the whole stack."""
-        if fresh:
-            self._frames[i] = self._render(self.data[i])
-        else:
-            self._frames[i, :-1] = self._frames[i, 1:]
-            self._render(self.data[i], out=self._frames[i, -1])
+    def _look(self) -> None:
+        """Take the newest frames."""
+        self._frames[:, :-1] = self._frames[:, 1:]
+        self._frames[:, -1] = self._render(self.data)
 
     def _observe(self) -> dict[str, np.ndarray]:
         states = [self.task.state(self.model, data) for data in self.data]

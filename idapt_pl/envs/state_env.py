@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.vector.utils import batch_space
 
@@ -28,10 +29,10 @@ class VectorStateEnv(VectorImageEnv):
     def close_extras(self, **kwargs) -> None:
         """Nothing was opened."""
 
-    def _make_renderer(self, size: int) -> Callable[..., np.ndarray]:
-        return lambda data: np.zeros((size, size, 3), np.uint8)
+    def _make_renderer(self, size: int, processes: int) -> Callable[[Sequence[mujoco.MjData]], np.ndarray]:
+        return lambda data: np.zeros((len(data), size, size, 3), np.uint8)
 
-    def _look(self, i: int, fresh: bool = False) -> None:
+    def _look(self) -> None:
         """There is nothing to see."""
 
     def _observe(self) -> dict[str, np.ndarray]:
