@@ -1,0 +1,94 @@
+"""Does finding effects from images save target interactions? IDAPT with and without it, on the same data.
+
+    python benchmarks/curves.py --seeds 0 1 2 3 4 --images 5000 2500
+
+For each seed and number of exploratory target interactions a quick config is run twice: as it is, and with
+``--effects.discover true``. The second run takes over what both have in common, everything up to the first search
+for effects, so that they differ in nothing else. Writes results/curves.csv, a row a policy: the target interactions up
+to then (training only), its return in the target, and which effects had been added to the source.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from pathlib import Path
+
+from quick import ROOT, run
+from tables import replace_rows
+
+COMMON = ("target", "source", "state_predictor", "source_policy", "source_teacher", "source_student", "visual",
+          "translated", "estimator", "direct_transfer")  # fmt: skip
+"""Stages of step 0 that come before effects are looked for."""
+KEY = ("config", "images", "seed", "method")
+
+
+def take_over(done: Path, folder: Path) -> None:
+    """Give a new run what it would do just as another one has."""
+    if folder.exists():
+        return
+    temporary = folder.with_suffix(".copy")
+    shutil.rmtree(temporary, ignore_errors=True)
+    (temporary / "step_00").mkdir(parents=True)
+    for path in (done / "step_00").iterdir():
+        if path.name.split(".")[0] in COMMON:
+            (shutil.copytree if path.is_dir() else shutil.copy2)(path, temporary / "step_00" / path.name)
+    temporary.rename(folder)
+
+
+def rows(folder: Path, about: dict) -> list[dict]:
+    """A row for the source's policy and one for that of each grounding step."""
+
+    def read(name: str) -> dict:
+        path = folder / f"{name}.json"
+        return json.loads(path.read_text()) if path.exists() else {}
+
+    summary, commit = read("summary"), read("run")["git_commit"]
+    measured = [("source", "", read("step_00/direct_transfer"))]
+    steps = range(len(summary["grounded"]) + 1)
+    measured += [("grounded", k, read(f"step_{k:02d}/evaluation")["target"]) for k in steps]
+    interactions = {k: sum(e["count"] for e in training_entries(folder) if e["step"] <= k) for k in steps}
+    found, table = [], []
+    for policy, k, result in measured:
+        if policy == "grounded":
+            found += [
+                f"{e['effect']}({e['target']}) = " + ", ".join(f"{v:.4g}" for v in e["parameters"].values())
+                for e in read(f"step_{k:02d}/effects").get("effects", ())
+            ]
+        table.append(about | {
+            "policy": policy, "grounding_step": k, "target_interactions": interactions.get(k, 0),
+            "mean": round(result["mean"], 2), "std": round(result["std"], 2), "effects": " + ".join(found),
+            "minutes": round(summary["wall_s"] / 60, 1), "commit": commit,
+        })  # fmt: skip
+    return table
+
+
+def training_entries(folder: Path) -> list[dict]:
+    """The ledger's entries of training."""
+    entries = json.loads((folder / "ledger.json").read_text())["entries"]
+    return [e for e in entries if e["purpose"] == "training"]
+
+
+def main() -> None:
+    """Run what is missing and keep the table."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--config", default="pendulum_quick", help="name of a file in configs/, without .yaml")
+    p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    p.add_argument("--images", type=int, nargs="+", default=[5000], help="exploratory target interactions")
+    p.add_argument("--out", type=Path, default=ROOT / "results/curves.csv")
+    o, extra = p.parse_known_args()
+    for images in o.images:
+        for seed in o.seeds:
+            about, settings = {"config": o.config, "images": images, "seed": seed}, ["--schedule.images", str(images)]
+            name = f"curves_{o.config}_{images}"
+            plain = run(ROOT / f"configs/{o.config}.yaml", seed, [*settings, *extra], name)
+            replace_rows(o.out, rows(plain, about | {"method": "without"}), KEY)
+            take_over(plain, ROOT / f"runs/{name}_effects_{seed}")
+            settings += ["--effects.discover", "true"]
+            repaired = run(ROOT / f"configs/{o.config}.yaml", seed, [*settings, *extra], f"{name}_effects")
+            replace_rows(o.out, rows(repaired, about | {"method": "with effects"}), KEY)
+
+
+if __name__ == "__main__":
+    main()
