@@ -23,8 +23,8 @@ import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is impor
 import numpy as np
 from tables import read_rows, replace_rows
 
-from cli.collect import plain_trainer
 from cli.provenance import cpu_model, git_commit
+from cli.trainers import plain_trainer
 from idapt_pl.experts import RECIPES, ExpertRecipe, measure, train_expert
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, Task, make_task

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
 from cli.provenance import git_commit
+from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
 from idapt_pl.envs import BlindTarget, VectorImageEnv
@@ -85,18 +85,3 @@ def expert(task: Task, kind: str, seed: int, cache: Path):
     policy = train_expert(trained, task.domain("source"), RECIPES[task.name], stages, "policy")
     checkpoint = stages.folder(0) / "policy" / "final.ckpt"
     return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-
-
-def plain_trainer(folder: Path, batches: int) -> L.Trainer:
-    """A Trainer for small nets, outside a run of Algorithm 1: on the CPU, metrics to a CSV file."""
-    return L.Trainer(
-        default_root_dir=str(folder),
-        accelerator="cpu",
-        logger=L.pytorch.loggers.CSVLogger(folder, name="", version=""),
-        max_epochs=1,
-        limit_train_batches=batches,
-        log_every_n_steps=max(1, batches // 250),
-        enable_progress_bar=sys.stderr.isatty(),
-        enable_checkpointing=False,
-        enable_model_summary=False,
-    )

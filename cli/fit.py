@@ -12,8 +12,9 @@ from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
-from cli.provenance import write_provenance
+from cli.provenance import claim, write_provenance
 from cli.table import print_summary
+from cli.trainers import stage_settings
 from idapt_pl.discovery import Discovery
 from idapt_pl.domains import View
 from idapt_pl.domains.parallel import other_cores
@@ -102,15 +103,9 @@ class GroundingCLI(LightningCLI):
         """A fresh Trainer for one stage; its metrics go to the stage's folder."""
         step, name = folder.parent.name, folder.name
         return self.instantiate_trainer(
-            default_root_dir=str(folder),
             logger=[TensorBoardLogger(folder, name="", version=""), CSVLogger(folder, name="", version="")],
             callbacks=[StageProgressBar(f"{step} {name}")] if sys.stderr.isatty() else [],
-            max_epochs=1,
-            limit_train_batches=batches,
-            log_every_n_steps=max(1, batches // 250),
-            enable_progress_bar=sys.stderr.isatty(),
-            enable_checkpointing=False,
-            enable_model_summary=False,
+            **stage_settings(folder, batches),
         )
 
 
@@ -156,10 +151,11 @@ def main(args: list[str]) -> int:
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     grounding, run_dir = build(cli)
-    write_provenance(cli.parser, cli.config, run_dir)
-    summary = grounding.run()
-    if cli.config.oracle:
-        train_oracle(grounding)
-        summary = grounding.evaluation.summary(grounding.schedule.grounding_steps)
-    print_summary(summary, run_dir, write_report(grounding))
+    with claim(run_dir):
+        write_provenance(cli.parser, cli.config, run_dir)
+        summary = grounding.run()
+        if cli.config.oracle:
+            train_oracle(grounding)
+            summary = grounding.evaluation.summary(grounding.schedule.grounding_steps)
+        print_summary(summary, run_dir, write_report(grounding))
     return 0

@@ -6,11 +6,14 @@ import importlib.metadata
 import json
 import platform
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
 import yaml
+from filelock import FileLock, Timeout
 from jsonargparse import ArgumentParser, Namespace
 
 from idapt_pl.domains.rendering import filament_is_used
@@ -22,6 +25,27 @@ CHANGE_NOTHING = {
 """Keys that may differ in a resumed run."""
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
+
+
+@contextmanager
+def claim(run_dir: Path) -> Iterator[None]:
+    """Keep a run folder to this process: two must not write to one.
+
+    Raises:
+        ValueError: if another process is at work in it.
+    """
+    run_dir.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(run_dir / ".lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise ValueError(
+            f"another process is at work in {run_dir}. Wait until it has ended, or choose another --run_dir."
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -> None:

@@ -10,6 +10,7 @@ from conftest import QUICK, ROOT
 
 from cli.fit import GroundingCLI, build
 from cli.main import COMMANDS, main
+from cli.provenance import claim
 from datamodules import read_trajectories
 
 CONFIGS = sorted(p for p in (ROOT / "configs").rglob("*.yaml") if not {"presets", "visual", "diagnose"} & set(p.parts))
@@ -122,6 +123,13 @@ def test_unknown_task_or_target_is_an_error_that_lists_the_known(option, words, 
     code, printed = run(["fit", *tiny_args(tmp_path / "run"), *option], capsys)
     assert_short_error(code, printed, 1, *words)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_folder_that_another_process_is_at_work_in_is_left_alone(tiny_args, tmp_path, capsys):
+    with claim(tmp_path / "run"):
+        result = run(["fit", *tiny_args(tmp_path / "run")], capsys)
+    assert_short_error(*result, 1, "another process is at work in", tmp_path / "run", "--run_dir")
+    assert not (tmp_path / "run" / "config.yaml").exists()
 
 
 def test_evaluating_what_is_no_run_folder_is_an_error_that_says_what_to_give(tmp_path, capsys):

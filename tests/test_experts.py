@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from cli.collect import plain_trainer
 from cli.main import main
+from cli.trainers import plain_trainer
 from datamodules import read_trajectories
 from datamodules.trajectories import content_hash
 from idapt_pl import experts

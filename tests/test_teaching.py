@@ -8,8 +8,8 @@ import pytest
 import torch
 from conftest import TINY
 
-from cli.collect import plain_trainer
 from cli.main import main
+from cli.trainers import plain_trainer
 from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl import experts
 from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv

@@ -282,7 +282,7 @@ class AsymmetricSAC(ManualModule):
         actor = self.actor.head.parameters() if supervised else self.actor.parameters()
         groups = (self.critic.parameters(), actor, [self.log_alpha])
         optimizers = [torch.optim.Adam(g, lr=self.hparams.lr, fused=True) for g in groups]
-        if supervised:
+        if supervised and self.hparams.estimator_updates:
             optimizers.append(
                 torch.optim.Adam(self.actor.encoder.parameters(), lr=self.hparams.lr_estimator, fused=True)
             )
