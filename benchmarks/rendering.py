@@ -3,7 +3,7 @@
     python benchmarks/rendering.py [--task half_cheetah ...]
 
 Prints a table and writes ``results/rendering.csv``. Rates are medians of several timed runs. Domains that Filament
-draws are measured with the classic renderer too.
+draws are measured with the classic renderer too. ``processes`` are those that render.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rich.table import Table
 from tables import replace_rows, write_rows
 
 from idapt_pl.domains.filament import FilamentRenderer
+from idapt_pl.domains.parallel import other_cores
 from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.rollout import random_policy
@@ -97,15 +98,17 @@ def steps_per_second(env: VectorImageEnv) -> float:
 def measure(name: str) -> list[dict]:
     """All rates of one task."""
     task, rows = make_task(name), []
-    columns = {"task": name, "domain": "source", "image_size": 0, "num_envs": 1, "renderer": "none", "per_second": 0.0}
+    columns = {"task": name, "domain": "source", "image_size": 0, "num_envs": 1, "renderer": "none", "processes": 1}
+    columns |= {"per_second": 0.0}
     for size in SIZES:
         for domain in ("source", "easy", "hard"):
             what = {"what": "frames"} | columns | {"domain": domain, "image_size": size}
             rows += [what | found for found in frames_per_second(name, domain, size)]
     envs = [({"image_size": 0}, VectorStateEnv(task, task.domain("source"), 1))]
-    for num_envs in (1, 4, 16):
-        about = {"image_size": 64, "num_envs": num_envs, "renderer": "classic"}
-        envs.append((about, VectorImageEnv(task, task.domain("source"), num_envs, 64)))
+    for num_envs, others in ((1, 0), (4, 0), (4, other_cores()), (16, 0), (16, other_cores())):
+        about = {"image_size": 64, "num_envs": num_envs, "renderer": "classic", "processes": 1 + others}
+        env = VectorImageEnv(task, task.domain("source"), num_envs, 64, render_processes=others)
+        envs.append((about, env))
     for about, env in envs:
         with closing(env):
             rows.append({"what": "environment steps"} | columns | about | {"per_second": steps_per_second(env)})

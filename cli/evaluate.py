@@ -70,7 +70,7 @@ def policies(grounding: IterativeGrounding) -> list[tuple[str, Path]]:
     run = grounding.stages.run_dir
     found = [
         ("direct transfer", run / "step_00/source_policy/final.ckpt"),
-        ("visual grounding only", run / "step_00/policy/final.ckpt"),
+        ("visual grounding, step 0", run / "step_00/policy/final.ckpt"),
     ]
     found += [
         (f"IDAPT, grounding step {k}", grounding.stages.folder(k) / "policy/final.ckpt")

@@ -14,7 +14,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     table.add_column("policy")
     table.add_column(f"target {summary['metric']}, mean of {summary['episodes']} episodes", justify="right")
     table.add_row("direct transfer", f"{summary['direct_transfer']:.1f}")
-    table.add_row("visual grounding only", f"{summary['visual_only']:.1f}")
+    repaired = any(e["step"] == 0 for e in summary["effects"])
+    table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", f"{summary['visual_only']:.1f}")
     for k, value in enumerate(summary["grounded"], 1):
         table.add_row(f"IDAPT, grounding step {k}", f"{value:.1f}")
     table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
@@ -23,6 +24,9 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     console.print(
         f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min"
     )
+    for e in summary["effects"]:
+        values = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in e["parameters"].items())
+        console.print(f"added to the source in step {e['step']}: {e['effect']} of {e['target']}, {values}")
     if summary["rolled_back"]:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
     console.print(f"the story of the run: {report}", soft_wrap=True)

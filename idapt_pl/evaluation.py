@@ -123,6 +123,7 @@ class Evaluation:
         evaluations = [read(k, "evaluation") for k in range(steps + 1)]
         selections = {k: read(k, "selection") for k in range(1, steps + 1)}
         oracle = read(0, "oracle_evaluation")
+        found = [(k, read(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
         stages = self.stages.timings()
         summary = {
             "task": self.worlds.task.name,
@@ -134,6 +135,7 @@ class Evaluation:
             "oracle": oracle["mean"] if oracle else None,
             "visual_only": evaluations[0]["target"]["mean"],
             "grounded": [e["target"]["mean"] for e in evaluations[1:]],
+            "effects": [{"step": k} | e for k, result in found if result for e in result["effects"]],
             "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
             "target_interactions": self.worlds.ledger.training_total,
             "wall_s": round(sum(s["wall_s"] for s in stages), 1),

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, then rename it; on any error nothing is left."""
@@ -23,3 +25,9 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON atomically."""
     write_atomically(path, lambda p: p.write_text(json.dumps(value, indent=2) + "\n"))
+
+
+def write_yaml(path: Path, value: Any) -> None:
+    """Write YAML atomically."""
+    text = yaml.safe_dump(value, sort_keys=False, allow_unicode=True)
+    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import functools
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -27,7 +29,7 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
-from idapt_pl.rollout import Act, Experience, VectorEnv, garat_rollout
+from idapt_pl.rollout import Act, Experience, VectorEnv, evaluate, garat_rollout
 from idapt_pl.shooting import start_from_matching
 from idapt_pl.stage import Stages
 from idapt_pl.teaching import NO_TEACHER, Teacher, Teaching
@@ -64,6 +66,8 @@ class Feeding:
         garat_rollout: environment steps in one GARAT rollout, over all simulations.
         garat_start: what F is before GARAT: the ``identity`` (the paper), or what trajectory ``matching`` gives, an
             affine law under which short replays in the source follow the target's recordings.
+        trial_episodes: episodes in the grounded source, with its reward, on which a policy must do as well after its
+            training there as before, or the one before is kept; 0 always goes on with the newest (the paper).
         garat_ridge: with ``matching``, weight of the squared coefficients.
     """
 
@@ -79,6 +83,7 @@ class Feeding:
     garat_rollout: int = 5000
     garat_start: Literal["identity", "matching"] = "identity"
     garat_ridge: float = 1e4
+    trial_episodes: int = 0
 
 
 class Fitting:
@@ -234,6 +239,7 @@ class Fitting:
         steps: int,
         initial: AsymmetricSAC | PixelStatePredictor,
         familiar: Sequence[Path] = (),
+        finish: Callable[[AsymmetricSAC, torch.device], dict] = lambda policy, device: {},
     ) -> AsymmetricSAC:
         """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor."""
         f = self.feeding
@@ -258,7 +264,7 @@ class Fitting:
                 image_batch_size=module.hparams.estimator_batch,
             )
 
-        return self.stages.fit(step, name, lambda: self.build_policy(initial), feed, steps // f.num_envs)
+        return self.stages.fit(step, name, lambda: self.build_policy(initial), feed, steps // f.num_envs, finish)
 
     def build_policy(self, initial: AsymmetricSAC | PixelStatePredictor) -> AsymmetricSAC:
         """A policy as it was, or a new one with an encoder from a predictor."""
@@ -291,7 +297,32 @@ class Fitting:
 
         if self.teacher.steps:
             initial = self.teaching.student(step, "", lambda: self.build_policy(before), make_env, F)
-        return self.policy(step, "policy", make_env, steps, initial)
+
+        def finish(policy: AsymmetricSAC, device: torch.device) -> dict:
+            episodes = self.feeding.trial_episodes
+            return keep_better(policy, initial, make_env(device), episodes) if episodes else {}
+
+        return self.policy(step, "policy", make_env, steps, initial, finish=finish)
+
+
+def keep_better(policy: AsymmetricSAC, before: AsymmetricSAC, env: VectorEnv, episodes: int) -> dict:
+    """Put a policy back to what it was before its training if that does better in the environment it trained in.
+
+    SAC can unlearn: one that holds still for long forgets what to do when it does not.
+
+    Returns:
+        Mean returns (or successes) with the mean action: ``trial_before``, ``trial_after``; ``kept``, which of them.
+    """
+    with closing(env):
+        means = [
+            evaluate(env, functools.partial(p.act, deterministic=True), episodes, seed=0).mean
+            for p in (copy.deepcopy(before).to(policy.device), policy)
+        ]
+    kept = "before" if means[0] > means[1] else "after"
+    if kept == "before":
+        policy.load_state_dict(before.state_dict())
+        log.info("the policy is kept as it was: %.1f in the grounded source, after more training %.1f", *means)
+    return {"trial_before": means[0], "trial_after": means[1], "kept": kept}
 
 
 def seen_through(G: VisualTransformation, episode: Episode) -> Episode:

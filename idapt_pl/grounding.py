@@ -12,6 +12,7 @@ from idapt_pl.appearance import discover_looks
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import effect_from_dict
 from idapt_pl.evaluation import Evaluation
+from idapt_pl.files import write_yaml
 from idapt_pl.fitting import Fitting
 from idapt_pl.rollout import EXPLORATION, Act, collect
 from idapt_pl.selection import compare, in_words
@@ -149,8 +150,7 @@ class IterativeGrounding:
         def make(seed: int) -> dict:
             return discover_looks(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
 
-        found = self.stages.measure(0, "looks", make)["effects"]
-        self.worlds.repair(effect_from_dict(e) for e in found)
+        self._repair(0, self.stages.measure(0, "looks", make)["effects"])
 
     def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G, pi) -> bool:
         """Add to the source the effects that the target's images show it lacks. Returns whether there were any.
@@ -167,8 +167,8 @@ class IterativeGrounding:
             task, domain = self.worlds.task, self.worlds.source_domain
             return discover(task, domain, pi.estimator(G), G, target, [D_S], self.effects, seed)
 
-        found = [effect_from_dict(e) for e in self.stages.measure(k, "effects", make)["effects"]]
-        self.worlds.repair(found)
+        found = self.stages.measure(k, "effects", make)["effects"]
+        self._repair(k, found)
         return bool(found)
 
     def makes_it_worse(self, k: int, pi, G, F, F_before, D_T: Path) -> bool:
@@ -191,6 +191,12 @@ class IterativeGrounding:
     def for_dynamics(self, data: list[Path]) -> list[Path]:
         """The target data for GARAT: under the current policy, and the task-agnostic data if F explores."""
         return [data[0], data[-1]] if self.fit.feeding.garat_exploring else data[-1:]
+
+    def _repair(self, k: int, found: list[dict]) -> None:
+        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them."""
+        self.worlds.repair(effect_from_dict(e) for e in found)
+        for folder in (self.stages.folder(k), self.stages.run_dir):
+            write_yaml(folder / "effects.yaml", [e.to_dict() for e in self.worlds.repairs])
 
     def _record_target(self, k: int, policy, steps: int) -> Path:
         def make(seed: int):

@@ -129,7 +129,7 @@ class Returns:
 def evaluate(env: VectorEnv, act: Act, episodes: int, seed: int) -> Returns:
     """Returns of ``episodes`` whole episodes, played ``env.num_envs`` at a time.
 
-    The only function that reads a reward of the target; nothing that trains or selects calls it.
+    Given a target with its reward it reads that; nothing that trains or selects has such a one.
     """
     returns: list[float] = []
     successes: list[bool] = []

@@ -58,6 +58,7 @@ class Stages:
         build: Callable[[], Module],
         feed: Callable[[Module, int, torch.device], L.LightningDataModule],
         batches: int,
+        finish: Callable[[Module, torch.device], dict] = lambda module, device: {},
     ) -> Module:
         """Fit a module, or load it if this stage is done.
 
@@ -67,6 +68,8 @@ class Stages:
             build: makes the module (randomness is seeded before).
             feed: makes its data from the module, the stage's seed and the device trained on.
             batches: how long to fit.
+            finish: given the fitted module on its device, may change it before it is kept; what it returns is noted in
+                ``stage.json``.
         """
         folder, seed = self.folder(step) / name, stage_seed(self.seed, step, name)
         L.seed_everything(seed, verbose=False)
@@ -76,17 +79,17 @@ class Stages:
             log.info("step %d  %-16s done before, loaded from %s", step, name, final)
             return load_finished(module, final)
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
-        started = time.perf_counter()
+        started, notes = time.perf_counter(), {}
         if batches:
             trainer = self.make_trainer(folder, batches)
             device = trainer.strategy.root_device
             trainer.fit(module, datamodule=feed(module.to(device), seed, device))
             if trainer.interrupted:
                 raise KeyboardInterrupt
+            notes = finish(module.to(device), device)
         seconds = time.perf_counter() - started
-        write_json(
-            folder / "stage.json", {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}
-        )
+        about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}
+        write_json(folder / "stage.json", about | notes)
         state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
         write_atomically(final, lambda path: torch.save(state, path))
         log.info("step %d  %-16s %5d batches  %6.1f s  -> %s", step, name, batches, seconds, final)

@@ -33,6 +33,11 @@ class Worlds:
         """Add effects to the source, for all environments made from now on."""
         self.source_domain = self.source_domain.with_effects(*effects)
 
+    @property
+    def repairs(self) -> tuple[Effect, ...]:
+        """Effects that were added to the source."""
+        return self.source_domain.effects[len(self.task.domain("source").effects) :]
+
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
         return self._seen(self.source_domain, num_envs)

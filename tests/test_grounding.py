@@ -240,7 +240,9 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     assert open_run(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
 
 
-def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_run_is_opened(tmp_path, tiny_args):
+def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_run_is_opened(
+    tmp_path, tiny_args, capsys
+):
     run = tmp_path / "run"
     assert (
         main(["fit", *tiny_args(run), "--effects.looks", "true", "--target", "easy", "--schedule.grounding_steps", "0"])
@@ -250,8 +252,17 @@ def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_r
     assert found["after"] < found["before"] and found["effects"]
     source = open_run(run).worlds.source_domain
     assert [e.to_dict() for e in source.effects[-len(found["effects"]) :]] == found["effects"]
+    for path in (run / "effects.yaml", run / "step_00/effects.yaml"):
+        assert yaml.safe_load(path.read_text()) == found["effects"]
+    assert json.loads((run / "summary.json").read_text())["effects"] == [{"step": 0} | e for e in found["effects"]]
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "source repaired" in printed and f"in step 0: {found['effects'][0]['effect']} of" in printed
     report = (run / "report.html").read_text()
-    assert "visual effects below" in report and found["estimates"][0]["effect"] in report
+    assert (
+        "Visual grounding, source repaired" in report
+        and "visual effects below" in report
+        and found["estimates"][0]["effect"] in report
+    )
 
 
 def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
-import yaml
 from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
 
@@ -15,7 +14,7 @@ from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.words import verdict_in_words
 from idapt_pl.domains.effects import Effect
-from idapt_pl.files import write_atomically, write_json
+from idapt_pl.files import write_atomically, write_json, write_yaml
 
 
 def write_report(diagnosis: Diagnosis, folder: Path, model_name: str, data_name: str) -> None:
@@ -31,7 +30,7 @@ def write_report(diagnosis: Diagnosis, folder: Path, model_name: str, data_name:
         RuntimeError: the repaired model does not load from ``folder``.
     """
     write_json(folder / "report.json", diagnosis.report)
-    write_effects(folder / "effects.yaml", accepted(diagnosis))
+    write_yaml(folder / "effects.yaml", [e.to_dict() for e in accepted(diagnosis)])
     repaired = repair(diagnosis.sim.spec, diagnosis.effects, folder)
     drawn = figures(diagnosis)
     html = page(diagnosis, repaired, drawn, model_name, data_name)
@@ -41,14 +40,8 @@ def write_report(diagnosis: Diagnosis, folder: Path, model_name: str, data_name:
 
 
 def accepted(diagnosis: Diagnosis) -> list[Effect]:
-    """What the diagnosis adds to the effects declared before."""
+    """What the diagnosis adds to the effects declared before, as a domain or ``idapt diagnose --effects`` takes it."""
     return [e for e in diagnosis.effects if e not in diagnosis.declared]
-
-
-def write_effects(path: Path, effects: list[Effect]) -> None:
-    """A list as a domain or ``idapt diagnose --effects`` takes it."""
-    text = yaml.safe_dump([e.to_dict() for e in effects], sort_keys=False, allow_unicode=True)
-    write_atomically(path, lambda p: p.write_text(text, encoding="utf-8"))
 
 
 def write_model(path: Path, xml: str) -> None:

@@ -74,7 +74,8 @@ def scored(result: dict, metric: str) -> str:
 
 def name_of(step: Step) -> str:
     """What a step's policy is called."""
-    return f"Grounding step {step.k}" if step.k else "Visual grounding only"
+    repaired = any(found.get("effects") for found in (step.looks, step.effects))
+    return f"Grounding step {step.k}" if step.k else f"Visual grounding{', source repaired' if repaired else ' only'}"
 
 
 def outcome(record: Record, metric: str) -> str:
