@@ -27,7 +27,7 @@ from rich.table import Table
 from tables import replace_rows, write_rows
 
 from idapt_pl.domains.filament import FilamentRenderer
-from idapt_pl.domains.parallel import other_cores
+from idapt_pl.domains.parallel import usual_processes
 from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.rollout import random_policy
@@ -105,7 +105,7 @@ def measure(name: str) -> list[dict]:
             what = {"what": "frames"} | columns | {"domain": domain, "image_size": size}
             rows += [what | found for found in frames_per_second(name, domain, size)]
     envs = [({"image_size": 0}, VectorStateEnv(task, task.domain("source"), 1))]
-    for num_envs, others in ((1, 0), (4, 0), (4, other_cores()), (16, 0), (16, other_cores())):
+    for num_envs, others in ((1, 0), (4, 0), (4, usual_processes()), (16, 0), (16, usual_processes())):
         about = {"image_size": 64, "num_envs": num_envs, "renderer": "classic", "processes": 1 + others}
         env = VectorImageEnv(task, task.domain("source"), num_envs, 64, render_processes=others)
         envs.append((about, env))

@@ -17,7 +17,7 @@ from cli.table import print_summary
 from cli.trainers import stage_settings
 from idapt_pl.discovery import Discovery
 from idapt_pl.domains import View
-from idapt_pl.domains.parallel import other_cores
+from idapt_pl.domains.parallel import usual_processes
 from idapt_pl.evaluation import Evaluation
 from idapt_pl.fitting import Factories, Feeding, Fitting
 from idapt_pl.grounding import IterativeGrounding, Schedule
@@ -79,7 +79,7 @@ class GroundingCLI(LightningCLI):
             type=int | None,
             default=None,
             help="further processes that render where several simulations run side by side; default one for each core "
-            "but one. Images do not depend on it",
+            "but one, at most 3. Images do not depend on it",
         )
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
@@ -123,7 +123,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
         config.image_size,
         config.frame_stack,
         config.view,
-        other_cores() if config.render_processes is None else config.render_processes,
+        usual_processes() if config.render_processes is None else config.render_processes,
     )
     stages = Stages(run_dir, config.seed, cli.trainer_for)
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}

@@ -22,9 +22,14 @@ POSES = (
 """What a picture shows of ``MjData``."""
 
 
-def other_cores() -> int:
-    """Cores that this process may use beside the one it runs on."""
-    return max(0, len(os.sched_getaffinity(0)) - 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) - 1)
+MOST = 3
+"""Further processes by default, at most: each takes some 400 MB, and a step has few frames to share out."""
+
+
+def usual_processes() -> int:
+    """One for each core that this process may use but the one it runs on, within bounds."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(MOST, cores - 1)
 
 
 class ParallelRenderer:
