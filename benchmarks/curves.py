@@ -2,8 +2,8 @@
 
     python benchmarks/curves.py --seeds 0 1 2 3 4 --images 5000 2500
 
-For each seed and number of exploratory target interactions a quick config is run twice: as it is, and with
-``--effects.discover true``. The second run takes over what both have in common, everything up to the first search
+For each seed and number of exploratory target interactions a quick config is run twice, with ``--effects.discover``
+false and true. The second run takes over what both have in common, everything up to the first search
 for effects, so that they differ in nothing else. Writes results/curves.csv, a row a policy: the target interactions up
 to then (training only), its return in the target, and which effects had been added to the source.
 """
@@ -80,13 +80,13 @@ def main() -> None:
     o, extra = p.parse_known_args()
     for images in o.images:
         for seed in o.seeds:
-            about, settings = {"config": o.config, "images": images, "seed": seed}, ["--schedule.images", str(images)]
-            name = f"curves_{o.config}_{images}"
-            plain = run(ROOT / f"configs/{o.config}.yaml", seed, [*settings, *extra], name)
+            about = {"config": o.config, "images": images, "seed": seed}
+            config, name = ROOT / f"configs/{o.config}.yaml", f"curves_{o.config}_{images}"
+            settings = ["--schedule.images", str(images), *extra, "--effects.discover"]
+            plain = run(config, seed, [*settings, "false"], name)
             replace_rows(o.out, rows(plain, about | {"method": "without"}), KEY)
             take_over(plain, ROOT / f"runs/{name}_effects_{seed}")
-            settings += ["--effects.discover", "true"]
-            repaired = run(ROOT / f"configs/{o.config}.yaml", seed, [*settings, *extra], f"{name}_effects")
+            repaired = run(config, seed, [*settings, "true"], f"{name}_effects")
             replace_rows(o.out, rows(repaired, about | {"method": "with effects"}), KEY)
 
 

@@ -27,7 +27,7 @@ from idapt_pl.nets.encoder import Vision
 from idapt_pl.references import train_oracle
 from idapt_pl.report import write_report
 from idapt_pl.stage import Stages
-from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.tasks import TASKS, Task, make_task
 from idapt_pl.teaching import Teacher
 from idapt_pl.worlds import Worlds
 
@@ -114,6 +114,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     config = cli.config_init
     check_estimator(config)
     task = make_task(config.task)
+    check_discovery(config, task)
     run_dir = Path(config.run_dir or f"runs/{config.task}_{config.target}_{config.seed}")
     worlds = Worlds(
         task,
@@ -143,6 +144,23 @@ def check_estimator(config: Namespace) -> None:
                 f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {config.policy.encoder}: "
                 "only a supervised encoder is regressed on states. Set one or the other."
             )
+
+
+def check_discovery(config: Namespace, task: Task) -> None:
+    """Effects are found from positions in single frames; better said before hours of G."""
+    if not config.effects.discover:
+        return
+    if config.vision.rates != "differences":
+        raise ValueError(
+            f"effects.discover reads positions off single frames and needs vision.rates: differences; "
+            f"it is {config.vision.rates}"
+        )
+    nq = task.domain("source").compile().nq
+    if set(task.rates.values()) != set(range(nq)) or set(range(nq)) & set(task.rates):
+        raise ValueError(
+            f"effects.discover needs a task whose state is its {nq} positions followed by their velocities; that of "
+            f"{config.task} is another. Set effects.discover: false."
+        )
 
 
 def main(args: list[str]) -> int:

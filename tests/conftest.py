@@ -122,14 +122,14 @@ def seeded():
 QUICK = ROOT / "configs" / "pendulum_quick.yaml"
 
 TINY = {
-    "image_size": 32, "episodes": 2, "seed": 3, "oracle": "false",
+    "image_size": 32, "episodes": 2, "seed": 3, "oracle": "false", "effects.discover": "false",
     "schedule.grounding_steps": 2, "schedule.images": 60, "schedule.interactions": 60,
     "schedule.source_policy": 16, "schedule.action_transformation": "true",
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("state_predictor", 3), ("visual", 2), ("policy", 12), ("dynamics", 1), ("estimator", 2))},
     "feeding.state_predictor_batch": 8, "feeding.visual_batch": 2, "feeding.num_envs": 2,
     "feeding.updates_per_step": 1, "feeding.policy_batch": 8, "feeding.warmup_steps": 10,
-    "feeding.garat_envs": 2, "feeding.garat_rollout": 20,
+    "feeding.garat_envs": 2, "feeding.garat_rollout": 20, "feeding.trial_episodes": 1,
     "vision.crop": 28,
     "policy.hidden": "[16]", "dynamics.hidden": "[16]",
     "visual.width": 4, "visual.blocks": 1, "visual.discriminator_width": 4,

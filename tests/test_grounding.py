@@ -198,6 +198,20 @@ def test_the_policy_sees_with_the_estimator_that_was_fitted_to_what_G_shows(fini
         assert any(not np.array_equal(a.observations["pixels"], b.observations["pixels"]) for a, b in pairs)
 
 
+def test_every_policy_stage_in_the_grounded_source_says_which_policy_went_on(finished_run):
+    for k in range(STEPS + 1):
+        told = json.loads((finished_run / f"step_{k:02d}/policy/stage.json").read_text())
+        assert told["kept"] == ("before" if told["trial_before"] > told["trial_after"] else "after")
+
+
+def test_discovery_that_could_not_read_positions_is_refused_before_anything_is_learned(tiny_args, tmp_path, capsys):
+    learned = tiny_args(tmp_path / "run", effects__discover="true", vision__rates="learned")
+    assert main(["fit", *learned]) == 1 and "vision.rates: differences" in capsys.readouterr().err
+    other_state = tiny_args(tmp_path / "run", effects__discover="true", task="half_cheetah")
+    assert main(["fit", *other_state]) == 1 and "half_cheetah" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
 def test_without_finetuning_G_keeps_the_P_T_that_was_trained_with_it(finished_run, tiny_args, tmp_path):
     run = tmp_path / "kept"
     shutil.copytree(finished_run / "step_00", run / "step_00")
@@ -258,11 +272,8 @@ def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_r
     printed = " ".join(capsys.readouterr().out.split())
     assert "source repaired" in printed and f"in step 0: {found['effects'][0]['effect']} of" in printed
     report = (run / "report.html").read_text()
-    assert (
-        "Visual grounding, source repaired" in report
-        and "visual effects below" in report
-        and found["estimates"][0]["effect"] in report
-    )
+    assert "visual grounding, source repaired" in report and "Step 0: G, and effects" in report
+    assert "visual effects below" in report and found["estimates"][0]["effect"] in report
 
 
 def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path):

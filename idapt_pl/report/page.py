@@ -74,8 +74,14 @@ def scored(result: dict, metric: str) -> str:
 
 def name_of(step: Step) -> str:
     """What a step's policy is called."""
-    repaired = any(found.get("effects") for found in (step.looks, step.effects))
-    return f"Grounding step {step.k}" if step.k else f"Visual grounding{', source repaired' if repaired else ' only'}"
+    if step.k:
+        return f"Grounding step {step.k}"
+    return f"Visual grounding{', source repaired' if repaired(step) else ' only'}"
+
+
+def repaired(step: Step) -> bool:
+    """Whether effects were added to the source in it."""
+    return any(found.get("effects") for found in (step.looks, step.effects))
 
 
 def outcome(record: Record, metric: str) -> str:
@@ -153,7 +159,7 @@ def step_section(record: Record, step: Step, metric: str, grounding: IterativeGr
     model = grounding.worlds.source_domain.compile()
     parts = [paragraph(s) for s in story(record, step, metric)]
     parts += [appearance(step), effects(step, model), looks(step, grounding), numbers(step, metric)]
-    title = f"Step {step.k}: {'G alone' if step.k == 0 else 'G, F and the policy'}"
+    title = f"Step {step.k}: {'G, F and the policy' if step.k else 'G, and effects' if repaired(step) else 'G alone'}"
     made = section(title, *(p for p in parts if p))
     return made.replace("<section>", '<section class="rolled">') if step.selection.get("rolled_back") else made
 
@@ -177,6 +183,12 @@ def story(record: Record, step: Step, metric: str) -> list[str]:
         )
     psnr = step.evaluation["translation"]["psnr"]
     told[0] += f" What G draws is {number(psnr)} dB (PSNR) from the target's image of the same state."
+    if step.training.get("kept") == "before":
+        before, after = (score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))
+        told.append(
+            f"Training made the policy worse in the grounded source ({metric} {before} before, {after} after): it was "
+            "put back."
+        )
     if step.selection:
         told.append(in_words(step.selection) + ".")
     if step.selection.get("rolled_back"):

@@ -32,6 +32,10 @@ ORDER = (
 """Stages of a grounding step."""
 
 
+MEASURED = ("evaluation", "effects", "selection", "looks", "policy/stage")
+"""What is read of a grounding step, in the order of :class:`Step`'s fields."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One grounding step. What has not been measured (yet) is empty.
@@ -43,6 +47,7 @@ class Step:
         effects: what was found missing in the source, as in ``effects.json``.
         selection: whether F was kept, as in ``selection.json``.
         looks: visual effects that were found missing in the source, as in ``looks.json``.
+        training: of the policy, as in its ``stage.json``: whether it was put back to what it was before.
         seconds: wall-clock time of every finished stage, s, in the order of Algorithm 1.
         interactions: target control steps that training had used when this step's policy was made.
     """
@@ -53,6 +58,7 @@ class Step:
     effects: dict
     selection: dict
     looks: dict
+    training: dict
     seconds: dict[str, float]
     interactions: int
 
@@ -134,7 +140,7 @@ def read_step(folder: Path, ledger: list[dict], read) -> Step:
     """Read the folder of one grounding step."""
     k = int(folder.name.removeprefix("step_"))
     used = sum(e["count"] for e in ledger if e["purpose"] == "training" and e["step"] <= k)
-    measured = [read(folder / f"{name}.json") for name in ("evaluation", "effects", "selection", "looks")]
+    measured = [read(folder / f"{name}.json") for name in MEASURED]
     found = map(read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")]))
     seconds = {t["stage"]: t["wall_s"] for t in found if {"stage", "wall_s"} <= set(t)}
     return Step(k, folder, *measured, {name: seconds[name] for name in sorted(seconds, key=place)}, used)
