@@ -110,6 +110,37 @@ def test_an_effect_outside_the_library_is_left_unexplained():
     assert "shoulder" in diagnosis.report["signature"] or "elbow" in diagnosis.report["signature"]
 
 
+BASE = (
+    ARM.replace(
+        '<body name="upper">',
+        '<body name="base"><joint name="rail" type="slide" axis="1 0 0" damping="0.5"/>'
+        '<geom name="b" type="sphere" size="0.05" mass="1" contype="0" conaffinity="0"/><body name="upper">',
+    )
+    .replace("</body></body>", "</body></body></body>")
+    .replace('axis="0 1 0"', 'axis="0 1 0" armature="0.01"')
+)
+"""The arm on a cart that nothing drives, whose joint has no armature."""
+
+
+@pytest.mark.parametrize(("armature", "label"), [
+    ({"shoulder": 0.03, "elbow": 0.03}, ("joint_armature", "actuated")),
+    ({"shoulder": 0.01, "elbow": 0.03}, ("joint_armature", "elbow")),
+    ({"shoulder": 0.01, "elbow": 0.01}, None),
+], ids=["all motors", "one motor", "nothing"])  # fmt: skip
+def test_what_all_motors_share_is_told_from_what_one_of_them_has(armature, label):
+    spec = mujoco.MjSpec.from_string(BASE)
+    for name, value in armature.items():
+        spec.joint(name).armature = value
+    spec.compile()
+    recorded = record(spec.to_xml())
+    kinds = ["joint_armature", "joint_damping", "body_mass", "actuator_gain", "actuator_delay"]
+    diagnosis = diagnose(mujoco.MjSpec.from_string(BASE), recorded, candidates=kinds)
+    effects = {(e["effect"], e["target"]): e for e in diagnosis.report["effects"]}
+    assert set(effects) == ({label} if label else set())
+    if label:
+        assert effects[label]["parameters"]["armature"]["estimate"] == pytest.approx(0.03, rel=0.05)
+
+
 def test_positions_alone_are_enough_for_a_large_effect():
     edit = ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.1"')
     _, effects = found(record(edit, velocities=False), candidates=["joint_damping", "joint_armature", "actuator_gain"])

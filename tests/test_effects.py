@@ -58,6 +58,7 @@ from idapt_pl.domains.paths import (
     SensorDelay,
     SensorGain,
 )
+from idapt_pl.tasks import make_task
 
 MODEL = """
 <mujoco>
@@ -463,3 +464,32 @@ def test_a_force_limit_holds_whatever_the_set_point():
     data.ctrl[:] = 100.0
     mujoco.mj_forward(model, data)
     assert abs(data.actuator("hold").force[0]) == pytest.approx(0.5)
+
+
+# --- joints that actuators act on -----------------------------------------------------------------------
+
+
+def test_actuated_joints_are_those_of_the_motors_and_not_the_base():
+    task = make_task("half_cheetah")
+    domain = task.domain("source").with_effects(JointArmature("actuated", 0.3))
+    before, after = task.domain("source").compile(), domain.compile()
+    changed = {before.joint(i).name for i in range(before.njnt) if before.joint(i).armature != after.joint(i).armature}
+    assert changed == {"bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot"}
+    assert after.joint("fshin").armature == pytest.approx(0.3)
+
+
+def test_a_model_whose_actuators_act_on_no_joint_says_so():
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body><joint name='a'/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(ValueError, match="no actuator of the model acts on a joint; its joints: a"):
+        JointArmature("actuated", 0.3).apply(spec)
+
+
+def test_a_joint_that_is_called_actuated_is_meant_by_its_name():
+    spec = mujoco.MjSpec.from_string(
+        "<mujoco><worldbody><body><joint name='actuated'/><joint name='b' axis='1 0 0'/><geom size='1'/></body>"
+        "</worldbody><actuator><motor joint='b'/></actuator></mujoco>"
+    )
+    JointArmature("actuated", 0.3).apply(spec)
+    assert [j.armature for j in spec.joints] == [0.3, 0.0]

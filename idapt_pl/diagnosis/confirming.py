@@ -10,6 +10,7 @@ from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.state import Found, Search, Tried
 from idapt_pl.diagnosis.statistics import effects_of, paired_gain, window_loss
 from idapt_pl.diagnosis.words import number
+from idapt_pl.domains.effects import ACTUATED
 from idapt_pl.domains.paths import ExternalForce, SensingEffect
 
 log = logging.getLogger(__name__)
@@ -104,7 +105,7 @@ def accept(search: Search, confirmed: list[Tried]) -> Found | None:
         top = min(passed, key=lambda t: t.held_out + handicap(t) + PARSIMONY * (t.candidate.size - 1) * top.gain)
     near = min(0.1 * max(top.gain, 0.0), 0.03 + 0.03 * top.held_out)
     close = [t for t in passed if t.held_out - top.held_out <= near]
-    best = min(close, key=lambda t: (t.candidate.size, t.candidate.target == "*", t.held_out + handicap(t)))
+    best = min(close, key=lambda t: (t.candidate.size, t.candidate.target in ("*", ACTUATED), t.held_out + handicap(t)))
     for t in passed:
         if t is not best:
             t.rejected_because = f"{best.candidate.label} leaves less ({best.held_out:.3g} against {t.held_out:.3g})"

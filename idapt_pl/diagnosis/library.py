@@ -145,12 +145,12 @@ def library(spec: mujoco.MjSpec, around: Surroundings) -> list[Candidate]:
     return found
 
 
-def _shared(singles: list[Candidate]) -> list[Candidate]:
+def _shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:
     """One value for all of a kind, where their nominal values agree."""
     if len(singles) < 2 or len({c.nominal for c in singles}) > 1:
         return []
     scale = tuple(np.median([c.scale for c in singles], 0))
-    return [dataclasses.replace(singles[0], target="*", scale=scale)]
+    return [dataclasses.replace(singles[0], target=target, scale=scale)]
 
 
 def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
@@ -166,6 +166,9 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
         (physics.JointArmature, "armature", lambda v: model.dof_armature[v], lambda v: a.inertia[v]),
         (physics.JointDrag, "drag", lambda v: 0.0, lambda v: a.inertia[v] / a.horizon / a.speed[v]),
     ]
+    on_joints = [i for i in range(model.nu) if model.actuator_trntype[i] == JOINT]
+    driven = {model.jnt_dofadr[model.actuator_trnid[i, 0]] for i in on_joints}
+    names_driven = {model.joint(j).name for j in hinges if model.jnt_dofadr[j] in driven}
     found = []
     for kind, parameter, nominal, scale in rows:
         singles = []
@@ -177,10 +180,9 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
                 tuple((n + f * s,) for f in (0.3, 1.0, 3.0, 10.0, 30.0)) if kind is physics.JointFrictionloss else ()
             )
             singles.append(Candidate(kind, model.joint(j).name, (parameter,), (n,), (s,), starts))
-        found += singles + _shared(singles)
+        of_motors = [c for c in singles if c.target in names_driven]  # the joints of a free base are of another kind
+        found += singles + (_shared(singles) or _shared(of_motors, physics.ACTUATED))
     springs, rests = [], []
-    on_joints = [i for i in range(model.nu) if model.actuator_trntype[i] == JOINT]
-    driven = {model.jnt_dofadr[model.actuator_trnid[i, 0]] for i in on_joints}
     for j in hinges:
         v, q, name = model.jnt_dofadr[j], model.jnt_qposadr[j], model.joint(j).name
         stiffness = float(model.jnt_stiffness[j])

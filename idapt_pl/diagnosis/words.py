@@ -8,6 +8,8 @@ from collections.abc import Iterable
 import mujoco
 import numpy as np
 
+from idapt_pl.domains.effects import ACTUATED
+
 MEANINGS = {
     "body_mass": "mass of body",
     "body_inertia": "mass, centre and inertia of body",
@@ -57,10 +59,10 @@ def meaning(effect: str, target: str) -> str:
     words = MEANINGS.get(effect, effect.replace("_", " ") + " of")
     if target == "world":
         return words.removesuffix(" of")
-    if target != "*":
+    if target not in ("*", ACTUATED):
         return f"{words} {target}"
     before, _, kind = words.rpartition(" ")
-    return f"{before} all {'bodies' if kind == 'body' else kind + 's'}"
+    return f"{before} all {'actuated ' * (target == ACTUATED)}{'bodies' if kind == 'body' else kind + 's'}"
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -94,7 +96,9 @@ def unit_at(model: mujoco.MjModel, target: str, unit: str) -> str:
     if " or " not in unit:
         return unit
     slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-    joints = [j for j in range(model.njnt) if target in ("*", model.joint(j).name)]
+    driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0])
+    meant = {"*": set(range(model.njnt)), ACTUATED: driven}.get(target, set())
+    joints = [j for j in range(model.njnt) if j in meant or model.joint(j).name == target]
     kinds = {int(model.jnt_type[j]) for j in joints} & {slide, hinge}
     if len(kinds) != 1:
         return unit

@@ -34,7 +34,8 @@ class Effect(ABC):
     """One edit of an ``mujoco.MjSpec``; subclasses are registered under ``name``.
 
     Attributes:
-        target: MJCF name of the element edited, or ``"*"`` for all elements of that kind.
+        target: MJCF name of the element edited, or ``"*"`` for all elements of that kind; of joints also
+            ``"actuated"``.
     """
 
     name: ClassVar[str] = ""
@@ -101,6 +102,22 @@ def elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
     return found
 
 
+ACTUATED = "actuated"
+"""The target of effects on all joints that an actuator acts on: motors and gears, not the joints of a free base."""
+
+
+def joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
+    """The joints called ``target``, all for ``"*"``, or those that actuators act on for ``"actuated"``."""
+    names = [j.name for j in spec.joints]
+    if target != ACTUATED or ACTUATED in names:
+        return elements(spec, "joints", target)
+    on_joints = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+    found = [j for j in spec.joints if j.name in on_joints]
+    if not found:
+        raise ValueError(f"no actuator of the model acts on a joint; its joints: {', '.join(names) or 'none'}")
+    return found
+
+
 @dataclass(frozen=True)
 class BodyMass(Effect):
     """Mass of a body. Its inertia scales along: the shape and density profile stay the same."""
@@ -133,7 +150,7 @@ class BodyMass(Effect):
 @dataclass(frozen=True)
 class _JointEffect(Effect):
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for joint in elements(spec, "joints", self.target):
+        for joint in joints(spec, self.target):
             self.edit(joint)
 
     def edit(self, joint: Any) -> None:
