@@ -2,8 +2,8 @@
 
     python benchmarks/rendering.py [--task half_cheetah ...]
 
-Prints a table and writes ``results/rendering.csv``. Rates are medians of several timed runs. Domains that Filament
-draws are measured with the classic renderer too. ``processes`` are those that render.
+Prints a table and writes ``results/rendering.csv``, where other tasks' rows stay. Rates are medians of several timed
+runs. Domains that Filament draws are measured with the classic renderer too. ``processes`` are those that render.
 """
 
 from __future__ import annotations
@@ -119,7 +119,8 @@ def main() -> None:
     """Measure everything."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS))
-    write_table("rendering", [row for name in p.parse_args().task for row in measure(name)])
+    rows = [row for name in p.parse_args().task for row in measure(name)]
+    write_table("rendering", rows, key=("task",))
 
 
 if __name__ == "__main__":
