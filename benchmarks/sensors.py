@@ -30,14 +30,13 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.discovery import CANDIDATES
-from idapt_pl.domains import Domain
+from idapt_pl.domains import Domain, looks
 from idapt_pl.domains.effects import Effect
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.rollout import EXPLORATION
 from idapt_pl.tasks import make_task
 
 SENSORS = {"velocities": 0.0, "positions": 0.0, "positions, 1 % noise": 0.01, "positions, 5 % noise": 0.05}
-VISUAL = {"camera_frame", "camera_pose", "light", "color", "material", "texture", "blur", "renderer", "scenery"}
 LENGTH = 50
 """Control steps of an episode."""
 
@@ -46,7 +45,7 @@ def moving_like(task_name: str, target: str) -> tuple[Domain, tuple[Effect, ...]
     """A world that looks like the source, and what it has beside the source's effects."""
     task = make_task(task_name)
     source, other = task.domain("source"), task.domain(target)
-    hidden = tuple(e for e in other.effects[len(source.effects) :] if e.name not in VISUAL)
+    hidden = tuple(e for e in other.effects[len(source.effects) :] if type(e).__module__ != looks.__name__)
     return Domain("hidden", source.base, (*source.effects, *hidden)), hidden
 
 
