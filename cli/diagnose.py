@@ -129,8 +129,8 @@ def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpe
 
     The residuals then hold the estimator's errors, which depend on the state and are no white noise: see decision 17.
     """
-    spec = grounding.worlds.source_domain.spec()
-    return spec, readings([data], load_estimator(grounding), spec.copy().compile().nq)
+    worlds = grounding.worlds
+    return worlds.source_domain.spec(), readings([data], load_estimator(grounding), worlds.task, worlds.frame_stack)
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

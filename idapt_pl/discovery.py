@@ -10,20 +10,19 @@ clearly larger, most of the difference goes with it, and it is something else.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from datamodules import Episode, Trajectories
-from datamodules.unpaired import read_all
 from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.sensing import readings
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -36,7 +35,6 @@ beyond the control's error there must go with what is found; either pair will do
 The sensor was fitted to the images of the control, so it errs more on the target even where nothing is missing: 0.7 to
 2.3 times on the pendulum, and where it is more than twice, a third of it can be explained away
 (``benchmarks/discovery.py --cases nothing``)."""
-See = Callable[[np.ndarray], np.ndarray]
 CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
 """What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
 
@@ -57,38 +55,6 @@ class Discovery:
     candidates: tuple[str, ...] = CANDIDATES
     max_effects: int = 2
     looks: bool = False
-
-
-@torch.no_grad()
-def positions(images: np.ndarray, predictor: PixelStatePredictor, nq: int, chunk: int = 256) -> np.ndarray:
-    """Positions read from single frames: uint8 (n, H, W, 3) to (n, nq), m or rad."""
-    if predictor.shown[:nq] != list(range(nq)):
-        raise ValueError(
-            "effects are found from positions in single frames: use vision.rates: differences, and a task whose state "
-            "is its positions followed by its velocities"
-        )
-    parts = np.array_split(images, len(images) // chunk + 1)
-    stacks = (torch.from_numpy(np.repeat(p[:, None], 3, 1)) for p in parts)
-    device = next(predictor.parameters()).device
-    return np.concatenate([predictor.predict(s.to(device))[:, :nq].cpu().numpy() for s in stacks]).astype(float)
-
-
-def readings(
-    files: Sequence[Path], predictor: PixelStatePredictor, nq: int, see: See = lambda frames: frames
-) -> Trajectories:
-    """Recordings as a sensor of positions gives them: ``qpos`` and actions.
-
-    Args:
-        files: trajectory files with images.
-        predictor: the sensor.
-        nq: positions of the model.
-        see: what happens to frames (n, H, W, 3) before the sensor sees them.
-    """
-    data = read_all(files)
-    episodes = (
-        Episode(e.actions, {"qpos": positions(see(np.asarray(e.observations["pixels"])), predictor, nq)}) for e in data
-    )
-    return Trajectories(tuple(episodes), data.dt, "positions read from images")
 
 
 def pieces(data: Trajectories, length: int) -> Trajectories:
@@ -117,12 +83,12 @@ def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tup
 
 def discover(
     task: Task, source: Domain, sensor: PixelStatePredictor, G: VisualTransformation, target: Sequence[Path],
-    control: Sequence[Path], options: Discovery, seed: int,
+    control: Sequence[Path], options: Discovery, seed: int, frame_stack: int = 3,
 ) -> dict:  # fmt: skip
     """Diagnose the source by the target's images, and the sensor by the source's.
 
     Args:
-        task: whose state is positions followed by velocities.
+        task: whose states tell positions.
         source: the domain to be repaired, with what has been found so far.
         sensor: reads positions off target images.
         G: shows source images as target images.
@@ -130,6 +96,7 @@ def discover(
         control: trajectory files of the source as it is now, with images.
         options: what to look for.
         seed: of the choice of windows.
+        frame_stack: images that the sensor sees at a time.
 
     Returns:
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
@@ -138,15 +105,21 @@ def discover(
         ``after``, in units of the sensor's noise, and the errors of the channels of ``target`` and ``control``.
     """
     spec = source.spec()
-    nq = spec.copy().compile().nq
     settings = Settings(max_effects=options.max_effects)
 
-    seen = readings(target, sensor, nq)
-    checked = readings(control, sensor, nq, lambda frames: G.translate(frames[:, None])[:, 0])
+    seen = readings(target, sensor, task, frame_stack, None)
+    checked = readings(control, sensor, task, frame_stack, G)
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in (seen, checked))))
     seen, checked = (
-        diagnose(spec.copy(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings)
+        diagnose(
+            spec.copy(),
+            pieces(d, length),
+            candidates=options.candidates,
+            seed=seed,
+            settings=settings,
+            unmeasured=task.unseen,
+        )
         for d in (seen, checked)
     )
     found = [e for e in seen.effects if e.name != "numerics"]

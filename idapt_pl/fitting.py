@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 from datamodules import (
-    Episode,
     LabelledImages,
     OnPolicyDataModule,
     ReplayBuffer,
@@ -30,6 +29,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rollout import Act, Experience, VectorEnv, evaluate, garat_rollout
+from idapt_pl.sensing import seen_through
 from idapt_pl.shooting import start_from_matching
 from idapt_pl.stage import Stages
 from idapt_pl.teaching import NO_TEACHER, Teacher, Teaching
@@ -323,17 +323,6 @@ def keep_better(policy: AsymmetricSAC, before: AsymmetricSAC, env: VectorEnv, ep
         policy.load_state_dict(before.state_dict())
         log.info("the policy is kept as it was: %.1f in the grounded source, after more training %.1f", *means)
     return {"trial_before": means[0], "trial_after": means[1], "kept": kept}
-
-
-def seen_through(G: VisualTransformation, episode: Episode) -> Episode:
-    """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
-    pixels = episode.observations["pixels"]
-    if G.frames > 1:
-        stacks = FrameStacks([episode], G.frames).stacks(np.arange(len(pixels)))
-        pixels = G.translate(stacks)[:, -1]
-    else:
-        pixels = G.translate(pixels[:, None])[:, 0]
-    return replace(episode, observations={**episode.observations, "pixels": pixels})
 
 
 def continued(build: Callable[[], torch.nn.Module], initial: torch.nn.Module | None) -> Callable:

@@ -165,7 +165,9 @@ class IterativeGrounding:
 
         def make(seed: int) -> dict:
             task, domain = self.worlds.task, self.worlds.source_domain
-            return discover(task, domain, pi.estimator(G), G, target, [D_S], self.effects, seed)
+            return discover(
+                task, domain, pi.estimator(G), G, target, [D_S], self.effects, seed, self.worlds.frame_stack
+            )
 
         found = self.stages.measure(k, "effects", make)["effects"]
         self._repair(k, found)

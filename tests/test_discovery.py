@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, beyond_the_control, discover, positions
+from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from idapt_pl.discovery import Discovery, beyond_the_control, discover
 from idapt_pl.domains.effects import BodyMass, JointDamping
-from idapt_pl.nets.encoder import Vision
+from idapt_pl.sensing import readings
 from idapt_pl.tasks import make_task
 
 LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
@@ -27,7 +27,7 @@ class Reader(torch.nn.Module):
 
     def __init__(self, gain=1.0):
         super().__init__()
-        self.gain, self.shown = gain, [0, 1]
+        self.gain = gain
         self.parameter = torch.nn.Parameter(torch.zeros(()))
 
     def predict(self, stacks):
@@ -39,6 +39,8 @@ class Reader(torch.nn.Module):
 
 class Identity:
     """What :func:`discover` needs of a visual transformation."""
+
+    frames = 1
 
     @staticmethod
     def translate(pixels):
@@ -92,11 +94,14 @@ def test_what_the_control_shows_too_is_not_believed(tmp_path):
     assert result["effects"] == []
 
 
-def test_a_predictor_that_needs_stacks_is_refused():
-    predictor = Vision().predictor(32, 3, 4, {}, 0.04)
-    predictor.shown = [2, 3]
-    with pytest.raises(ValueError, match=r"vision\.rates"):
-        positions(np.zeros((1, 32, 32, 3), np.uint8), predictor, 2)
+def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
+    """Stacks do not reach into the episode before, and readings stand beside the actions that were taken there."""
+    path = recorded(tmp_path / "d.h5", make_task("inverted_pendulum").domain("source"), 3, episodes=3)
+    read = readings([path], Reader(), make_task("inverted_pendulum"), frame_stack=3)
+    for there, here in zip(read_trajectories(path), read, strict=True):
+        assert np.array_equal(there.actions, here.actions)
+        again = Reader().predict(torch.from_numpy(there.observations["pixels"][:, None])).numpy()[:, :2]
+        assert here.observations["qpos"] == pytest.approx(again, abs=1e-2)
 
 
 def test_what_is_beyond_the_control_is_measured_where_it_is_most():

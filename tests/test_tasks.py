@@ -178,3 +178,26 @@ def test_unknown_names_are_errors_that_list_the_known_ones():
         make_task("pendulum")
     with pytest.raises(ValueError, match="no domain 'harder'; it has: source, easy, hard"):
         make_task("inverted_pendulum").domain("harder")
+
+
+@pytest.mark.parametrize("name", ["inverted_pendulum", "half_cheetah", "walker2d"])
+def test_positions_can_be_told_from_states(name):
+    """Exactly where a state has them; the distance along the track from its speed, as well as the period allows."""
+    task, rng = make_task(name), np.random.default_rng(0)
+    model = task.domain("source").compile()
+    data = mujoco.MjData(model)
+    task.reset(model, data, rng)
+    states, there = [task.state(model, data)], [data.qpos.copy()]
+    for _ in range(10):  # a fall comes later, in which speeds change too fast for that
+        task.step(model, data, rng.uniform(-1, 1, model.nu) * model.actuator_ctrlrange[:, 1])
+        states.append(task.state(model, data))
+        there.append(data.qpos.copy())
+    there, told = np.array(there), task.positions(np.array(states), task.period(model))
+    assert np.array_equal(told[:, 1:], there[:, 1:])
+    moved = there[:, 0] - there[0, 0]
+    assert np.abs(told[:, 0] - told[0, 0] - moved).max() < 0.25 * np.ptp(moved)
+
+
+def test_a_task_whose_states_tell_no_positions_says_so():
+    with pytest.raises(ValueError, match="fetch_reach"):
+        make_task("fetch_reach").positions(np.zeros((2, 16)), 0.04)

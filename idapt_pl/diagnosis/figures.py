@@ -45,8 +45,8 @@ def prediction(diagnosis: Diagnosis) -> Figure:
         residuals["after"] = sim.residual(diagnosis.effects, windows)
     figure = Figure(figsize=(8.6, 0.9 + 1.8 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
-    for (whole, error), channel in zip(axes, shown, strict=True):
-        name = sim.channels[channel]
+    for (whole, error), name in zip(axes, shown, strict=True):
+        channel = sim.channels.index(name)
         lines = {label: r[..., channel] for label, r in residuals.items()}
         draw_channel(whole, error, time, truth[..., channel], lines, per_channel[name]["noise"])
         whole.set_title(f"{plain(name)} ({per_channel[name]['unit']})", loc="left", fontsize=10)
@@ -81,7 +81,7 @@ def stretch(diagnosis: Diagnosis) -> Windows:
     episode = max(diagnosis.report["error"]["held_out_episodes"], key=lambda e: len(sim.data[e]))
     every = cut(sim.data, np.array([episode]), steps, steps, 10**6, 0)
     noise = np.array([c["noise"] for c in diagnosis.report["error"]["per_channel"].values()])
-    error = np.square(sim.residual(diagnosis.declared, every) / noise).mean((1, 2))
+    error = np.square(sim.residual(diagnosis.declared, every)[..., sim.compared] / noise).mean((1, 2))
     count = min(WINDOWS, len(every))
     level = np.convolve(error, np.ones(count) / count, "valid")
     first = int(np.argmin(np.abs(level - np.median(level))))

@@ -55,6 +55,7 @@ def diagnose(
     settings: Settings = USUAL,
     progress: Progress = lambda what, share: None,
     threads: int | None = None,
+    unmeasured: Sequence[str] = (),
 ) -> Diagnosis:
     """Which physical effects does the model lack, by the recordings?
 
@@ -69,13 +70,17 @@ def diagnose(
         settings: how hard to look.
         progress: told what is being done.
         threads: for simulating; default all cores.
+        unmeasured: joints whose positions in the recordings are made up: nothing is judged by them. The model's motion
+            must not depend on where they are, only on how fast they move.
 
     Raises:
         UnusableData: the recordings do not fit the model.
         ValueError: an unknown candidate or episode.
     """
     started = time.perf_counter()
-    search = begin(model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads)
+    search = begin(
+        model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured
+    )
     tried = run(search)
     progress("judging", 0.95)
     report = judge(search, tried)
@@ -88,12 +93,13 @@ def begin(
     model: mujoco.MjSpec, trajectories: Trajectories, declared: Sequence = (), fit: Sequence[int] | None = None,
     hold_out: Sequence[int] | None = None, candidates: Sequence[str] | None = None, seed: int = 0,
     settings: Settings = USUAL, progress: Progress = lambda what, share: None, threads: int | None = None,
+    unmeasured: Sequence[str] = (),
 ) -> Search:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
     model = name_elements(model.copy())
     data, velocities = recordings(model.copy().compile(), trajectories)
     fit, hold_out = split_episodes(activity(data), fit, hold_out)
-    sim = Simulator(model, data, velocities, threads)
+    sim = Simulator(model, data, velocities, threads, unmeasured)
 
     def considered(horizon: float) -> list[Candidate]:
         return choose(library(model, surroundings(sim.model, data, horizon)), candidates)

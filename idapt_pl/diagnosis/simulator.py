@@ -55,12 +55,17 @@ class Simulator:
         data: the recordings.
         velocities: compare velocities too (they were measured); else positions alone.
         threads: for stepping; default all cores.
+        unmeasured: names of joints that are not compared: their recordings only say where to begin.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, data: list[Recording], velocities: bool, threads: int | None = None):
+    def __init__(
+        self, spec: mujoco.MjSpec, data: list[Recording], velocities: bool, threads: int | None = None,
+        unmeasured: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         self.spec, self.data, self.velocities = spec, data, velocities
         self.model = spec.copy().compile()
         self.threads = threads or os.cpu_count() or 1
+        self.compared = np.array([n.split(" velocity")[0] not in unmeasured for n in self.channels])
         self.calls = 0
         self._commands: dict = {}
         self._samples: dict = {}
@@ -68,7 +73,7 @@ class Simulator:
 
     @property
     def channels(self) -> list[str]:
-        """Names of what is compared at every sample."""
+        """Names of what residuals are of, at every sample; ``compared`` says which of them count."""
         m = self.model
         names = []
         for j in range(m.njnt):

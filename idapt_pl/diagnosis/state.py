@@ -110,7 +110,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Split:
-    """Windows, with what whitens their residuals under the current model: (n, rows, rows)."""
+    """Windows, with what whitens their residuals under the current model: (n, rows, residuals)."""
 
     windows: Windows
     W: np.ndarray
@@ -293,8 +293,8 @@ class Search:
         s, rng, share = self.settings, np.random.default_rng(self.seed), self.affordable()
         seen = self.sensed
         self.noise = estimate_noise(self.sim, self.effects, self.probe)
-        self.fit = Split(seen.fit, whitener(seen.at_fit, self.noise))
-        self.held_out = Split(seen.held_out, whitener(seen.at_held_out, self.noise))
+        self.fit = Split(seen.fit, whitener(seen.at_fit, self.noise, self.sim.compared))
+        self.held_out = Split(seen.held_out, whitener(seen.at_held_out, self.noise, self.sim.compared))
         rows = rng.permutation(len(seen.fit))
         few, fewer = (max(30, int(n * share)) for n in (s.screen_windows, s.scout_windows))
         self.screen, self.scout = self.fit[np.sort(rows[:few])], self.fit[np.sort(rows[:fewer])]

@@ -203,21 +203,23 @@ def variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.ndarra
     return v
 
 
-def whitener(at: Sensitivity, noise: Noise) -> np.ndarray:
-    """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, rows).
+def whitener(at: Sensitivity, noise: Noise, compared: np.ndarray) -> np.ndarray:
+    """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, j channels): a row for what is compared.
 
     R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
     last, windows in which the noise decides whether a foot touches the floor would outweigh all others.
     """
     n, j, channels, _ = at.slope.shape
+    rows = np.flatnonzero(np.tile(compared, j))
     S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start)], -1)
-    S = S.reshape(n, j * channels, -1)
+    S = S.reshape(n, j * channels, -1)[:, rows]
     R = S @ S.transpose(0, 2, 1)
-    own = np.tile(noise.sensors, j)
-    R[:, np.arange(j * channels), np.arange(j * channels)] += np.square(own)
+    R[:, np.arange(len(rows)), np.arange(len(rows))] += np.square(np.tile(noise.sensors, j)[rows])
     scale = np.sqrt(np.einsum("nii->ni", R))
-    C = R / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(j * channels)
-    return np.linalg.inv(np.linalg.cholesky(C)) / scale[:, None, :]
+    C = R / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(len(rows))
+    W = np.zeros((n, len(rows), j * channels))
+    W[:, :, rows] = np.linalg.inv(np.linalg.cholesky(C)) / scale[:, None, :]
+    return W
 
 
 def whiten(W: np.ndarray, residual: np.ndarray) -> np.ndarray:

@@ -51,9 +51,10 @@ def judge(search: Search, tried: list[Tried]) -> dict:
                     "noise": float(f"{n:.4g}"),
                     "unit": unit,
                 }
-                for name, b, a, n, unit in zip(
-                    sim.channels, physical["before"], physical["after"], sensors, units(sim), strict=True
+                for name, b, a, n, unit, compared in zip(
+                    sim.channels, physical["before"], physical["after"], sensors, units(sim), sim.compared, strict=True
                 )
+                if compared
             },
         },
         "effects": [describe(f, search) for f in search.found]
@@ -234,7 +235,8 @@ def candidate(t: Tried) -> dict:
 def signature(search: Search, z: np.ndarray) -> str:
     """What an unexplained residual looks like: which channel, and what it goes along with."""
     sim = search.sim
-    by_channel = np.square(np.clip(z, -20, 20)).reshape(len(z), -1, len(sim.channels)).mean((0, 1))
+    by_channel = np.zeros(len(sim.channels))
+    by_channel[sim.compared] = np.square(np.clip(z, -20, 20)).reshape(len(z), -1, sim.compared.sum()).mean((0, 1))
     worst = int(np.argmax(by_channel))
     w = search.held_out.windows
     residual = sim.residual(search.effects, w)[..., worst][:, -1]

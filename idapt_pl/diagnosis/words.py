@@ -231,8 +231,9 @@ def error_rows(report: dict) -> list[tuple[str, float, str]]:
     ]
 
 
-def worst_channels(per_channel: dict[str, dict], most: int = 4) -> np.ndarray:
+def worst_channels(per_channel: dict[str, dict], most: int = 4) -> list[str]:
     """The 2 to ``most`` channels with the largest error relative to noise, in the model's order."""
     ratio = np.array([c["before"] / max(c["noise"], 1e-12) for c in per_channel.values()])
     keep = np.argsort(-ratio)[:most]
-    return np.sort(keep[(ratio[keep] > 0.1 * ratio.max()) | (np.arange(len(keep)) < 2)])
+    names = list(per_channel)
+    return [names[i] for i in np.sort(keep[(ratio[keep] > 0.1 * ratio.max()) | (np.arange(len(keep)) < 2)])]

@@ -36,6 +36,7 @@ class Locomotion(Task):
     direction: float = 1.0
     # State: z, pitch, six joints; then the velocities of x, z, pitch, joints. Nothing here is x itself.
     rates: ClassVar[dict[int, int]] = {9 + i: i for i in range(8)}
+    unseen = ("rootx",)
 
     def base(self) -> mujoco.MjSpec:
         file = importlib.resources.files("gymnasium") / "envs/mujoco/assets" / self.xml
@@ -52,6 +53,11 @@ class Locomotion(Task):
 
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         return np.concatenate([data.qpos[1:], np.clip(data.qvel, -self.velocity_limit, self.velocity_limit)])
+
+    def positions(self, states: np.ndarray, period: float) -> np.ndarray:
+        speed = states[:, 8]
+        x = np.concatenate([[0.0], np.cumsum(speed[1:] + speed[:-1]) * period / 2])
+        return np.column_stack([x, states[:, :8]])
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         speed = (data.qpos[0] - data.userdata[0]) / (model.opt.timestep * self.frame_skip)

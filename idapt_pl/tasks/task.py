@@ -20,6 +20,7 @@ class Task(ABC):
         action_repeat: how often that is repeated in a control step; rewards are summed.
         horizon: control steps after which an episode is cut (a time limit, not an end of the task).
         rates: state component to the component it is the rate of change of.
+        unseen: joints whose positions no state tells, as nothing depends on them.
         metric: what `evaluate` reports, ``"return"`` or ``"success"``.
     """
 
@@ -29,6 +30,7 @@ class Task(ABC):
     horizon: ClassVar[int]
     metric: ClassVar[str] = "return"
     rates: ClassVar[dict[int, int]] = {}
+    unseen: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def base(self) -> mujoco.MjSpec:
@@ -45,6 +47,19 @@ class Task(ABC):
     @abstractmethod
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """The state vector s, float64 (state_dim,); what critics see and predictors predict."""
+
+    def positions(self, states: np.ndarray, period: float) -> np.ndarray:
+        """Generalised positions, (T+1, nq), along a sequence of states (T+1, state_dim) that are ``period`` s apart.
+
+        What states leave out (``unseen``) is integrated from its rate, from 0.
+
+        Raises:
+            ValueError: where states do not tell.
+        """
+        raise ValueError(
+            f"effects.discover replays positions, which the states of {self.name} do not tell. "
+            "Set effects.discover: false."
+        )
 
     @abstractmethod
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
