@@ -41,6 +41,13 @@ def grounded_stacks(
         return FrameStacks(collect(env, policy.act, steps, seed, ""), worlds.frame_stack)
 
 
+def half(lengths: Sequence[int]) -> np.ndarray:
+    """Which transitions of episodes with these lengths make up one of two halves, (n,) of bool."""
+    if len(lengths) == 1:
+        return np.arange(lengths[0]) < lengths[0] // 2
+    return np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
+
+
 def residual(
     worlds: Worlds,
     policy: AsymmetricSAC,
@@ -51,8 +58,9 @@ def residual(
 ) -> dict[str, float]:
     """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
 
-    Energy distance on standardised features. The floor is that between the two halves of the target's
-    episodes: what sampling alone gives. The target's images and actions are all it uses.
+    Energy distance on standardised features. The floor is what sampling alone gives: the distance between every other
+    episode of the target's and the rest, or between the halves of a single one. The target's images and actions are
+    all it uses.
     """
 
     def grounded(transform: ActionTransformation | None) -> Tensor:
@@ -60,11 +68,9 @@ def residual(
 
     trajectories = read_all(target)
     real = transitions(FrameStacks(trajectories, worlds.frame_stack), F)
-    lengths = np.array([len(e) for e in trajectories])
-    first_half = np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
-    floor = energy_distance(real[first_half], real[~first_half]) if 0 < first_half.sum() < len(real) else float("nan")
+    one_half = half([len(e) for e in trajectories])
     return {
         "before": round(energy_distance(grounded(None), real), 4),
         "after": round(energy_distance(grounded(F), real), 4),
-        "noise_floor": round(floor, 4),
+        "noise_floor": round(energy_distance(real[one_half], real[~one_half]), 4),
     }

@@ -198,6 +198,14 @@ def test_the_policy_sees_with_the_estimator_that_was_fitted_to_what_G_shows(fini
         assert any(not np.array_equal(a.observations["pixels"], b.observations["pixels"]) for a, b in pairs)
 
 
+def test_what_a_run_writes_is_json_to_other_languages_too(finished_run):
+    def refuse(constant):
+        raise ValueError(f"{constant} is none of JSON's values")
+
+    for path in finished_run.rglob("*.json"):
+        json.loads(path.read_text(), parse_constant=refuse)
+
+
 def test_every_policy_stage_in_the_grounded_source_says_which_policy_went_on(finished_run):
     for k in range(STEPS + 1):
         told = json.loads((finished_run / f"step_{k:02d}/policy/stage.json").read_text())

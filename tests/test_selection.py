@@ -19,7 +19,7 @@ from datamodules.stacks import FrameStacks
 from idapt_pl.domains import effect_from_dict
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation
-from idapt_pl.residual import energy_distance
+from idapt_pl.residual import energy_distance, half
 from idapt_pl.rollout import collect
 from idapt_pl.selection import Sample, compare, in_words, judge, surprise
 from idapt_pl.worlds import Worlds
@@ -254,3 +254,10 @@ def test_a_step_that_is_rolled_back_leaves_no_policy_and_a_resumed_run_repeats_t
 def test_without_rollback_nothing_is_compared(finished_run):
     assert not list(finished_run.glob("step_*/selection.json"))
     assert json.loads((finished_run / "summary.json").read_text())["rolled_back"] == []
+
+
+@pytest.mark.parametrize("lengths", [[1000], [3, 5, 4], [2, 2]])
+def test_the_floor_has_two_halves_to_compare(lengths):
+    """Also where a policy never falls, so that there is one episode."""
+    mask = half(lengths)
+    assert len(mask) == sum(lengths) and 0.25 < mask.mean() < 0.75
