@@ -31,6 +31,8 @@ from idapt_pl.domains.effects import ActuatorGain, BodyMass, Effect, JointDampin
 from idapt_pl.domains.paths import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.rollout import EXPLORATION, collect
+from idapt_pl.sensing import Sensor
+from idapt_pl.worlds import Worlds
 
 OWN_MASS = 4.895
 CASES: dict[str, tuple[Effect, ...]] = {
@@ -50,19 +52,24 @@ FIELDS = (
 def run(name: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
     grounding = open_run(folder)
-    worlds, sensor, G = grounding.worlds, load_estimator(grounding), load_visual(grounding)
-    hidden, hard = CASES[name], worlds.task.domain("hard")
+    worlds, G = grounding.worlds, load_visual(grounding)
+    sensor = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
+    hidden, source, hard = CASES[name], worlds.task.domain("source"), worlds.task.domain("hard")
     target = Domain("hidden", hard.base, (*hard.effects, BodyMass("pole", OWN_MASS), *hidden))
-    path = folder / "hidden" / f"{name.replace(' ', '_')}.h5"
-    with closing(VectorImageEnv(worlds.task, target, 1, worlds.image_size, worlds.frame_stack, worlds.view)) as env:
-        trajectories = collect(env, EXPLORATION["babble"](env, seed + 100), steps, seed + 100, name)
-    write_trajectories(path, trajectories)
+    path, control = (folder / "hidden" / f"{n.replace(' ', '_')}.h5" for n in (name, "control"))
+    record(worlds, target, path, steps, seed + 100)
+    if not control.exists():
+        record(worlds, source, control, steps, seed + 200)
     started = time.perf_counter()
-    result = discover(
-        worlds.task, worlds.source_domain, sensor, G, [path], [folder / "step_00/source.h5"], Discovery(True), seed
-    )
+    result = discover(worlds.task, source, sensor, G, [path], [control], Discovery(True), seed)
     return {"case": name, "seed": seed, "target_interactions": steps, **score(result, hidden),
             "seconds": round(time.perf_counter() - started, 1)}  # fmt: skip
+
+
+def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
+    """Images, states and actions of random motions."""
+    with closing(VectorImageEnv(worlds.task, domain, 1, worlds.image_size, worlds.frame_stack, worlds.view)) as env:
+        write_trajectories(path, collect(env, EXPLORATION["babble"](env, seed), steps, seed, path.stem))
 
 
 def score(result: dict, hidden: tuple[Effect, ...]) -> dict:

@@ -83,7 +83,7 @@ def sensed(task: Task, episodes: list[tuple[np.ndarray, ...]], sensor: str, dt: 
         if sensor == "states":
             shown = (q + spread * rng.standard_normal(q.shape))[:, 1:]
             states = np.concatenate([shown, v + SPEED_NOISE * fast * rng.standard_normal(v.shape)], 1)
-            made.append(Episode(actions, {"qpos": task.positions(states, dt)}))
+            made.append(Episode(actions, {"qpos": task.motion(states, dt)[0]}))
             continue
         seen = {"qpos": q + spread * rng.standard_normal(q.shape)}
         made.append(Episode(actions, seen | ({"qvel": v} if sensor == "velocities" else {})))

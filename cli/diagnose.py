@@ -24,7 +24,7 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
-from cli.run_folder import load_estimator, open_run
+from cli.run_folder import load_estimator, load_visual, open_run
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.appearance import discover_looks
 from idapt_pl.diagnosis import Diagnosis, diagnose
@@ -34,10 +34,10 @@ from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.report import write_report
 from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
-from idapt_pl.discovery import readings
 from idapt_pl.domains import Effect, effect_from_dict
 from idapt_pl.files import write_atomically
 from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.sensing import Sensor, calibrate, compared
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -84,18 +84,18 @@ def main(args: list[str]) -> int:
     if o.looks and o.run is None:
         p.error("--looks compares images with what the source of a run shows: give --run")
     if o.run is None:
-        model, trajectories = read_model(o.model), read_trajectories(o.data)
+        model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
     else:
         grounding = open_run(o.run)
         if o.looks:
             report_looks(grounding, o.data, o.out, o.seed)
-        model, trajectories = read_images(grounding, o.data)
+        model, trajectories, how = read_images(grounding, o.data)
     declared = read_effects(o.effects, model) if o.effects else ()
     try:
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(Settings(), max_effects=o.max_effects), progress, o.threads,
+                replace(Settings(), max_effects=o.max_effects), progress, o.threads, **how,
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None
@@ -124,13 +124,18 @@ def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int
         console.print(escape(sentence), soft_wrap=True, highlight=False)
 
 
-def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpec, Trajectories]:
-    """The source of a run, and recordings of images as positions, read by the estimator of its last grounding step.
+def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpec, Trajectories, dict]:
+    """The source of a run, recordings of images as its sensor reads them, and how that reads (for ``diagnose``).
 
-    The residuals then hold the estimator's errors, which depend on the state and are no white noise: see decision 17.
+    The sensor is the estimator of the run's last grounding step. Its errors on images of the source count as noise,
+    although they depend on the state and are not white: see decision 17.
     """
     worlds = grounding.worlds
-    return worlds.source_domain.spec(), readings([data], load_estimator(grounding), worlds.task, worlds.frame_stack)
+    domain, sensor = worlds.source_domain, Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
+    known = sensor.read([grounding.stages.folder(0) / "source.h5"], load_visual(grounding))
+    calibration = calibrate(worlds.task, domain.compile(), known)
+    how = {"noise": calibration.noise, "unmeasured": worlds.task.unseen}
+    return domain.spec(), compared(sensor.read([data]), calibration), how
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

@@ -127,7 +127,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
         usual_processes() if config.render_processes is None else config.render_processes,
     )
     if config.effects.discover:  # better said before hours of G
-        task.positions(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
+        task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
     stages = Stages(run_dir, config.seed, cli.trainer_for)
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}
     for name in ("state_predictor", "visual", "policy"):

@@ -21,8 +21,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.nets.encoder import PixelStatePredictor
-from idapt_pl.sensing import readings
+from idapt_pl.sensing import Sensor, calibrate, compared
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -60,7 +59,7 @@ class Discovery:
 def pieces(data: Trajectories, length: int) -> Trajectories:
     """Episodes cut into pieces of ``length`` control steps; what is left over at an end is dropped."""
     cut = [
-        Episode(e.actions[i : i + length], {"qpos": e.observations["qpos"][i : i + length + 1]})
+        Episode(e.actions[i : i + length], {name: x[i : i + length + 1] for name, x in e.observations.items()})
         for e in data
         for i in range(0, len(e) - length + 1, length)
     ]
@@ -82,21 +81,20 @@ def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tup
 
 
 def discover(
-    task: Task, source: Domain, sensor: PixelStatePredictor, G: VisualTransformation, target: Sequence[Path],
-    control: Sequence[Path], options: Discovery, seed: int, frame_stack: int = 3,
+    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    control: Sequence[Path], options: Discovery, seed: int,
 ) -> dict:  # fmt: skip
     """Diagnose the source by the target's images, and the sensor by the source's.
 
     Args:
         task: whose states tell positions.
         source: the domain to be repaired, with what has been found so far.
-        sensor: reads positions off target images.
+        sensor: reads target images.
         G: shows source images as target images.
         target: trajectory files of the target; images and actions are all that is used.
-        control: trajectory files of the source as it is now, with images.
+        control: trajectory files of the source as it is now, with images and states; the sensor was not fitted to them.
         options: what to look for.
         seed: of the choice of windows.
-        frame_stack: images that the sensor sees at a time.
 
     Returns:
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
@@ -104,24 +102,21 @@ def discover(
         ``explained`` in that channel; the diagnosis's ``estimates``, its error ``before`` and
         ``after``, in units of the sensor's noise, and the errors of the channels of ``target`` and ``control``.
     """
-    spec = source.spec()
+    model = source.compile()
     settings = Settings(max_effects=options.max_effects)
 
-    seen = readings(target, sensor, task, frame_stack, None)
-    checked = readings(control, sensor, task, frame_stack, G)
+    seen, checked = sensor.read(target), sensor.read(control, G)
+    calibration = calibrate(task, model, checked)
+    read = [compared(d, calibration) for d in (seen, checked)]
     # Pieces of one length, so that both are judged over the same horizon.
-    length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in (seen, checked))))
+    length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
     seen, checked = (
         diagnose(
-            spec.copy(),
-            pieces(d, length),
-            candidates=options.candidates,
-            seed=seed,
-            settings=settings,
-            unmeasured=task.unseen,
+            source.spec(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings,
+            unmeasured=task.unseen, noise=calibration.noise,
         )
-        for d in (seen, checked)
-    )
+        for d in read
+    )  # fmt: skip
     found = [e for e in seen.effects if e.name != "numerics"]
     made_up = {(e.name, e.target) for e in checked.effects}
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]

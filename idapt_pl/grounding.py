@@ -16,6 +16,7 @@ from idapt_pl.files import write_yaml
 from idapt_pl.fitting import Fitting
 from idapt_pl.rollout import EXPLORATION, Act, collect
 from idapt_pl.selection import compare, in_words
+from idapt_pl.sensing import Sensor
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +101,7 @@ class IterativeGrounding:
 
         G = self.fit.visual(0, D_S, D_T, pretrain.visual, P_S, None)
         pi = self.fit.estimator(0, D_S, pretrain.estimator, G, pi)
-        self.repair_source(0, D_T, D_S[0], G, pi)
+        self.repair_source(0, D_T, G, pi)
         F = None  # the identity
         pi = self.fit.grounded_policy(0, pretrain.policy, G, F, pi)
         self.evaluation.report(0, pi, G, F, P_S, D_T[-1:])
@@ -112,7 +113,7 @@ class IterativeGrounding:
             P_S = self.fit.state_predictor(k, self.recent(D_S), finetune.state_predictor, P_S)
             G = self.fit.visual(k, self.recent(D_S), self.recent(D_T), finetune.visual, P_S, G)
             pi = self.fit.estimator(k, self.recent(D_S), finetune.estimator, G, pi)
-            if self.repair_source(k, D_T, None, G, pi):
+            if self.repair_source(k, D_T, G, pi):
                 F = None  # it was F of another source
             F_before, pi_before = F, pi
             if self.schedule.action_transformation:
@@ -152,22 +153,19 @@ class IterativeGrounding:
 
         self._repair(0, self.stages.measure(0, "looks", make)["effects"])
 
-    def repair_source(self, k: int, D_T: list[Path], D_S: Path | None, G, pi) -> bool:
+    def repair_source(self, k: int, D_T: list[Path], G, pi) -> bool:
         """Add to the source the effects that the target's images show it lacks. Returns whether there were any.
 
-        ``D_S`` are recordings of the source as it is; None makes them. Images are read by π's estimator.
+        Images are read by π's estimator. What it makes of new recordings of the source says how well.
         """
         if not self.effects.discover:
             return False
-        if D_S is None:
-            D_S = self._record_source(k, self.explore, None, None, self.schedule.images, "control")
-        target = D_T if k == 0 else [D_T[0], D_T[-1]]
+        worlds, target = self.worlds, D_T if k == 0 else [D_T[0], D_T[-1]]
+        control = self._record_source(k, self.explore, None, None, self.schedule.images, "control")
+        sensor = Sensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
-            task, domain = self.worlds.task, self.worlds.source_domain
-            return discover(
-                task, domain, pi.estimator(G), G, target, [D_S], self.effects, seed, self.worlds.frame_stack
-            )
+            return discover(worlds.task, worlds.source_domain, sensor, G, target, [control], self.effects, seed)
 
         found = self.stages.measure(k, "effects", make)["effects"]
         self._repair(k, found)

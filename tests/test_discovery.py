@@ -8,7 +8,7 @@ import torch
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from idapt_pl.discovery import Discovery, beyond_the_control, discover
 from idapt_pl.domains.effects import BodyMass, JointDamping
-from idapt_pl.sensing import readings
+from idapt_pl.sensing import Calibration, Sensor, calibrate, compared
 from idapt_pl.tasks import make_task
 
 LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
@@ -47,20 +47,22 @@ class Identity:
         return pixels
 
 
-def recorded(path, domain, seed, episodes=60, steps=12):
-    """Images and actions of a pendulum under slow random pushes; no states, no rewards."""
+def recorded(path, domain, seed, episodes=60, steps=12, states=False):
+    """Images and actions of a pendulum under slow random pushes; states only where asked for, no rewards."""
     task, rng = make_task("inverted_pendulum"), np.random.default_rng(seed)
     model, made = domain.compile(), []
     data = mujoco.MjData(model)
     for _ in range(episodes):
         mujoco.mj_resetData(model, data)
         task.reset(model, data, rng)
-        q, actions = [data.qpos.copy()], np.clip(rng.normal(size=(steps, 1)) + rng.normal(), -3, 3)
+        motion, actions = [task.state(model, data)], np.clip(rng.normal(size=(steps, 1)) + rng.normal(), -3, 3)
         for a in actions:
             data.ctrl[:] = a
             mujoco.mj_step(model, data, task.frame_skip)
-            q.append(data.qpos.copy())
-        made.append(Episode(actions.astype(np.float32), {"pixels": picture(np.array(q))}))
+            motion.append(task.state(model, data))
+        motion = np.array(motion)
+        seen = {"pixels": picture(motion[:, :2])} | ({"state": motion} if states else {})
+        made.append(Episode(actions.astype(np.float32), seen))
     write_trajectories(path, Trajectories(tuple(made), 0.04, "test"))
     return path
 
@@ -68,9 +70,9 @@ def recorded(path, domain, seed, episodes=60, steps=12):
 def found(tmp_path, *hidden, gain=1.0):
     task = make_task("inverted_pendulum")
     source = task.domain("source")
-    control = recorded(tmp_path / "control.h5", source, 1)
+    control = recorded(tmp_path / "control.h5", source, 1, states=True)
     target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
-    return discover(task, source, Reader(gain), Identity(), [target], [control], LOOK_FOR, seed=0)
+    return discover(task, source, Sensor(Reader(gain), task, 3), Identity(), [target], [control], LOOK_FOR, seed=0)
 
 
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])
@@ -97,11 +99,32 @@ def test_what_the_control_shows_too_is_not_believed(tmp_path):
 def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
     """Stacks do not reach into the episode before, and readings stand beside the actions that were taken there."""
     path = recorded(tmp_path / "d.h5", make_task("inverted_pendulum").domain("source"), 3, episodes=3)
-    read = readings([path], Reader(), make_task("inverted_pendulum"), frame_stack=3)
+    read = Sensor(Reader(), make_task("inverted_pendulum"), 3).read([path])
     for there, here in zip(read_trajectories(path), read, strict=True):
         assert np.array_equal(there.actions, here.actions)
         again = Reader().predict(torch.from_numpy(there.observations["pixels"][:, None])).numpy()[:, :2]
         assert here.observations["qpos"] == pytest.approx(again, abs=1e-2)
+
+
+def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
+    """Its errors come out in each joint's unit; velocities that it does not read (here: zeros) are not compared."""
+    task = make_task("inverted_pendulum")
+    path = recorded(tmp_path / "d.h5", task.domain("source"), 3, states=True)
+    model, states = task.domain("source").compile(), read_trajectories(path)
+    angle = np.concatenate([e.observations["state"][:, 1] for e in states])
+    read = Sensor(Reader(gain=0.6), task, 3).read([path], Identity())
+    found = calibrate(task, model, read)
+    assert found.position[0] == pytest.approx(1e-3, rel=0.3)  # a few draws of noise, repeated in every episode
+    assert found.position[1] == pytest.approx(0.4 * np.sqrt(np.mean(angle**2)), rel=0.05)
+    speeds = np.concatenate([e.observations["state"][:, 2:] for e in states])
+    assert found.velocity == pytest.approx(np.sqrt(np.mean(speeds**2, 0)), rel=1e-6)
+    assert not found.reads_velocities and set(compared(read, found)[0].observations) == {"qpos"}
+    assert found.noise.start == pytest.approx(np.concatenate([found.position, found.slope]))
+
+
+def test_velocities_are_compared_where_they_are_read_better_than_slopes():
+    good = Calibration(np.array([0.1]), np.array([0.2]), np.array([0.5]))
+    assert good.reads_velocities and good.noise.sensors == pytest.approx([0.1, 0.2])
 
 
 def test_what_is_beyond_the_control_is_measured_where_it_is_most():

@@ -192,7 +192,7 @@ def test_positions_can_be_told_from_states(name):
         task.step(model, data, rng.uniform(-1, 1, model.nu) * model.actuator_ctrlrange[:, 1])
         states.append(task.state(model, data))
         there.append(data.qpos.copy())
-    there, told = np.array(there), task.positions(np.array(states), task.period(model))
+    there, told = np.array(there), task.motion(np.array(states), task.period(model))[0]
     assert np.array_equal(told[:, 1:], there[:, 1:])
     moved = there[:, 0] - there[0, 0]
     assert np.abs(told[:, 0] - told[0, 0] - moved).max() < 0.25 * np.ptp(moved)
@@ -200,4 +200,4 @@ def test_positions_can_be_told_from_states(name):
 
 def test_a_task_whose_states_tell_no_positions_says_so():
     with pytest.raises(ValueError, match="fetch_reach"):
-        make_task("fetch_reach").positions(np.zeros((2, 16)), 0.04)
+        make_task("fetch_reach").motion(np.zeros((2, 16)), 0.04)

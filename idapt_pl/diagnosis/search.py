@@ -20,7 +20,7 @@ from idapt_pl.diagnosis.revision import prune, swap
 from idapt_pl.diagnosis.screening import screening, shortlist
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.state import Progress, Search, Settings, Tried
-from idapt_pl.diagnosis.statistics import covariance
+from idapt_pl.diagnosis.statistics import Noise, covariance
 from idapt_pl.diagnosis.verdict import judge
 from idapt_pl.domains.paths import ActuatorDelay, ActuatorLag
 
@@ -56,6 +56,7 @@ def diagnose(
     progress: Progress = lambda what, share: None,
     threads: int | None = None,
     unmeasured: Sequence[str] = (),
+    noise: Noise | None = None,
 ) -> Diagnosis:
     """Which physical effects does the model lack, by the recordings?
 
@@ -72,6 +73,7 @@ def diagnose(
         threads: for simulating; default all cores.
         unmeasured: joints whose positions in the recordings are made up: nothing is judged by them. The model's motion
             must not depend on where they are, only on how fast they move.
+        noise: of the sensors, where it is known; default is to estimate it from the recordings.
 
     Raises:
         UnusableData: the recordings do not fit the model.
@@ -79,7 +81,7 @@ def diagnose(
     """
     started = time.perf_counter()
     search = begin(
-        model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured
+        model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured, noise
     )
     tried = run(search)
     progress("judging", 0.95)
@@ -93,7 +95,7 @@ def begin(
     model: mujoco.MjSpec, trajectories: Trajectories, declared: Sequence = (), fit: Sequence[int] | None = None,
     hold_out: Sequence[int] | None = None, candidates: Sequence[str] | None = None, seed: int = 0,
     settings: Settings = USUAL, progress: Progress = lambda what, share: None, threads: int | None = None,
-    unmeasured: Sequence[str] = (),
+    unmeasured: Sequence[str] = (), noise: Noise | None = None,
 ) -> Search:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
     model = name_elements(model.copy())
@@ -104,7 +106,7 @@ def begin(
     def considered(horizon: float) -> list[Candidate]:
         return choose(library(model, surroundings(sim.model, data, horizon)), candidates)
 
-    return Search(sim, tuple(declared), fit, hold_out, considered, seed, settings, progress)
+    return Search(sim, tuple(declared), fit, hold_out, considered, seed, settings, progress, noise)
 
 
 def activity(data: list[Recording]) -> np.ndarray:

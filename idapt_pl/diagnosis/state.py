@@ -142,7 +142,7 @@ class Search:
         found: accepted effects.
         fit, screen, scout: windows of the fitted episodes, ever fewer of them.
         held_out: windows of the episodes that nothing is fitted to.
-        noise: of the sensors, estimated under the current model.
+        noise: of the sensors, as given, or estimated under the current model.
     """
 
     noise: Noise
@@ -154,10 +154,12 @@ class Search:
     def __init__(
         self, sim: Simulator, declared: Effects, fit: np.ndarray, hold_out: np.ndarray,
         library: Callable[[float], list[Candidate]], seed: int, settings: Settings, progress: Progress,
+        noise: Noise | None = None,
     ) -> None:  # fmt: skip
         self.sim, self.settings, self.progress, self.seed = sim, settings, progress, seed
         self.fit_episodes, self.held_out_episodes = fit, hold_out
         self.declared = self.fixed = declared
+        self.known_noise = noise
         self.found: list[Found] = []
         self.sensed: Sensed | None = None
         self.dt = float(np.median(np.diff(sim.data[0].time)))
@@ -170,7 +172,7 @@ class Search:
                 f"the episodes are too short: half of them last {usual} control steps or fewer; "
                 f"without measured velocities it takes {SHORTEST}"
             )
-        self.noise = estimate_noise(sim, declared, self.probe)
+        self.noise = noise or estimate_noise(sim, declared, self.probe)
         self.steps = self.choose_horizon()
         self.horizon = self.steps * self.dt
         self.candidates = library(self.horizon)
@@ -292,7 +294,7 @@ class Search:
             self.sensed = self.sense(under)
         s, rng, share = self.settings, np.random.default_rng(self.seed), self.affordable()
         seen = self.sensed
-        self.noise = estimate_noise(self.sim, self.effects, self.probe)
+        self.noise = self.known_noise or estimate_noise(self.sim, self.effects, self.probe)
         self.fit = Split(seen.fit, whitener(seen.at_fit, self.noise, self.sim.compared))
         self.held_out = Split(seen.held_out, whitener(seen.at_held_out, self.noise, self.sim.compared))
         rows = rng.permutation(len(seen.fit))

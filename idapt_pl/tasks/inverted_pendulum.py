@@ -58,8 +58,8 @@ class InvertedPendulum(Task):
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         return np.concatenate([data.qpos, data.qvel])
 
-    def positions(self, states: np.ndarray, period: float) -> np.ndarray:
-        return states[:, :2]
+    def motion(self, states: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+        return states[:, :2], states[:, 2:]
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         fallen = not np.isfinite(data.qpos).all() or abs(data.qpos[1]) > 0.2

@@ -54,10 +54,10 @@ class Locomotion(Task):
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         return np.concatenate([data.qpos[1:], np.clip(data.qvel, -self.velocity_limit, self.velocity_limit)])
 
-    def positions(self, states: np.ndarray, period: float) -> np.ndarray:
+    def motion(self, states: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
         speed = states[:, 8]
         x = np.concatenate([[0.0], np.cumsum(speed[1:] + speed[:-1]) * period / 2])
-        return np.column_stack([x, states[:, :8]])
+        return np.column_stack([x, states[:, :8]]), states[:, 8:]
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         speed = (data.qpos[0] - data.userdata[0]) / (model.opt.timestep * self.frame_skip)

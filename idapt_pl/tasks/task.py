@@ -48,8 +48,8 @@ class Task(ABC):
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """The state vector s, float64 (state_dim,); what critics see and predictors predict."""
 
-    def positions(self, states: np.ndarray, period: float) -> np.ndarray:
-        """Generalised positions, (T+1, nq), along a sequence of states (T+1, state_dim) that are ``period`` s apart.
+    def motion(self, states: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (T+1, nq) and velocities (T+1, nv) along a sequence of states (T+1, state_dim), ``period`` s apart.
 
         What states leave out (``unseen``) is integrated from its rate, from 0.
 
