@@ -118,7 +118,7 @@ def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
     assert found.position[1] == pytest.approx(0.4 * np.sqrt(np.mean(angle**2)), rel=0.05)
     speeds = np.concatenate([e.observations["state"][:, 2:] for e in states])
     assert found.velocity == pytest.approx(np.sqrt(np.mean(speeds**2, 0)), rel=1e-6)
-    assert not found.reads_velocities and set(compared(read, found)[0].observations) == {"qpos"}
+    assert not found.reads_velocities and set(compared(read, found).episodes[0].observations) == {"qpos"}
     assert found.noise.start == pytest.approx(np.concatenate([found.position, found.slope]))
 
 
