@@ -2,10 +2,12 @@
 
     python benchmarks/quick.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
     python benchmarks/discovery.py --seeds 0 1 2 3 4
+    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --runs runs/benchmark_cheetah_quick_IDAPT
 
-Targets look like the pendulum's hard domain and move like its source but for what is hidden. The sensor, the policy's
-encoder, is that of a finished run (trained against the hard domain itself: pole 200 kg), so cases other than the pole's
-mass use it on motions that it was not trained on. Writes results/discovery.csv.
+Targets look like the task's hard domain and move like its source but for what is hidden. The sensor, the policy's
+encoder, is that of a finished run (trained against the hard domain itself), so other cases than that domain's own
+effect use it on motions that it was not trained on. ``--looks "source through G"`` shows the sensor what it was fitted
+to instead: images of the source, as G translates them. Writes results/discovery.csv.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -21,49 +25,77 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
-from tables import read_rows, write_rows
+from tables import replace_rows
 
+from cli.provenance import git_commit
 from cli.run_folder import load_estimator, load_visual, open_run
-from datamodules import write_trajectories
+from datamodules import Trajectories, write_trajectories
 from idapt_pl.discovery import Discovery, discover
-from idapt_pl.domains import Domain
-from idapt_pl.domains.effects import ActuatorGain, BodyMass, Effect, JointDamping
+from idapt_pl.domains import Domain, looks
+from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
+from idapt_pl.modules import VisualTransformation
 from idapt_pl.rollout import EXPLORATION, collect
 from idapt_pl.sensing import Sensor
 from idapt_pl.worlds import Worlds
 
-OWN_MASS = 4.895
-CASES: dict[str, tuple[Effect, ...]] = {
-    "nothing": (),
-    "pole 200 kg": (BodyMass("pole", 200.0),),
-    "pole 50 kg": (BodyMass("pole", 50.0),),
-    "hinge damping": (JointDamping("hinge", 4.0),),
-    "actuator gain": (ActuatorGain("slide", 0.6),),
-    "action delay": (ActuatorDelay("slide", 0.04),),
+CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
+    "inverted_pendulum": {
+        "nothing": (),
+        "pole 200 kg": (BodyMass("pole", 200.0),),
+        "pole 50 kg": (BodyMass("pole", 50.0),),
+        "hinge damping": (JointDamping("hinge", 4.0),),
+        "actuator gain": (ActuatorGain("slide", 0.6),),
+        "action delay": (ActuatorDelay("slide", 0.04),),
+    },
+    "half_cheetah": {
+        "nothing": (),
+        "armature 0.4": (JointArmature(ACTUATED, 0.4),),
+        "armature 0.18": (JointArmature(ACTUATED, 0.18),),
+    },
+    "walker2d": {
+        "nothing": (),
+        "torso 10 kg": (BodyMass("torso", 10.0),),
+        "torso 5.4 kg": (BodyMass("torso", 5.4),),
+    },
 }
+HARD, TRANSLATED = "hard", "source through G"
+KEY = ("config", "looks", "case", "seed")
 FIELDS = (
-    "case", "seed", "found", "disbelieved", "right", "estimate", "low", "high", "truth", "covered",
-    "before", "after", "excess", "explained", "target_interactions", "seconds",
+    *KEY, "found", "disbelieved", "right", "estimate", "low", "high", "truth", "covered",
+    "before", "after", "excess", "explained", "target_interactions", "seconds", "commit",
 )  # fmt: skip
 
 
-def run(name: str, seed: int, steps: int, folder: Path) -> dict:
+@dataclass(frozen=True)
+class Translated:
+    """A sensor to which all recordings are images of the source."""
+
+    sensor: Sensor
+    G: VisualTransformation
+
+    def read(self, files: Sequence[Path], G: VisualTransformation | None = None) -> Trajectories:
+        """As of the sensor."""
+        return self.sensor.read(files, self.G)
+
+
+def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
     grounding = open_run(folder)
     worlds, G = grounding.worlds, load_visual(grounding)
     sensor = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
-    hidden, source, hard = CASES[name], worlds.task.domain("source"), worlds.task.domain("hard")
-    target = Domain("hidden", hard.base, (*hard.effects, BodyMass("pole", OWN_MASS), *hidden))
-    path, control = (folder / "hidden" / f"{n.replace(' ', '_')}.h5" for n in (name, "control"))
+    source, hard = worlds.task.domain("source"), worlds.task.domain("hard")
+    painted = tuple(e for e in hard.effects[len(source.effects) :] if type(e).__module__ == looks.__name__)
+    target = Domain("hidden", source.base, (*source.effects, *(painted if look == HARD else ()), *hidden))
+    path, control = (folder / "hidden" / f"{n}.h5".replace(" ", "_") for n in (f"{name} {look}", "control"))
     record(worlds, target, path, steps, seed + 100)
     if not control.exists():
         record(worlds, source, control, steps, seed + 200)
     started = time.perf_counter()
-    result = discover(worlds.task, source, sensor, G, [path], [control], Discovery(True), seed)
-    return {"case": name, "seed": seed, "target_interactions": steps, **score(result, hidden),
-            "seconds": round(time.perf_counter() - started, 1)}  # fmt: skip
+    reads = sensor if look == HARD else Translated(sensor, G)
+    result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed)
+    return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
 def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
@@ -94,20 +126,23 @@ def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
 def main() -> None:
     """Run the benchmark."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--config", default="pendulum_quick", help="of the runs whose sensors are used")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    p.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    p.add_argument("--cases", nargs="+", help="default all of the task")
+    p.add_argument("--looks", choices=(HARD, TRANSLATED), default=HARD, help="what the sensor sees")
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
-    p.add_argument("--runs", type=Path, default=ROOT / "runs", help="where benchmarks/quick.py left its runs")
+    p.add_argument("--runs", default=None, help="folders of the runs, less _<seed>; default as benchmarks/quick.py")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
     o = p.parse_args()
-    rows = read_rows(o.out)
+    runs = o.runs or ROOT / f"runs/benchmark_{o.config}_IDAPT"
     for seed in o.seeds:
-        for name in o.cases:
-            if any(r["case"] == name and int(r["seed"]) == seed for r in rows):
-                continue
-            rows.append(run(name, seed, o.steps, o.runs / f"benchmark_pendulum_quick_IDAPT_{seed}"))
-            print({k: v for k, v in rows[-1].items() if v != ""}, flush=True)
-            write_rows(o.out, rows, FIELDS)
+        folder = Path(f"{runs}_{seed}")
+        cases = CASES[open_run(folder).worlds.task.name]
+        for name in o.cases or cases:
+            about = {"config": o.config, "looks": o.looks, "case": name, "seed": seed}
+            row = about | run(name, cases[name], o.looks, seed, o.steps, folder) | {"commit": git_commit()}
+            print({k: v for k, v in row.items() if v != ""}, flush=True)
+            replace_rows(o.out, [row], KEY, FIELDS)
 
 
 if __name__ == "__main__":
