@@ -4,7 +4,7 @@ An estimator of the state, fitted to what G shows of the source, turns the targe
 diagnosis looks for the effect with which the source replays them. It is a poor sensor, with errors that depend on the
 state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
 missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
-clearly larger, most of the difference goes with it, and it is something else.
+clearly larger, most of the difference goes with it, and it is something else or far more of the same.
 """
 
 from __future__ import annotations
@@ -80,6 +80,16 @@ def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tup
     return ratios[worst], removed / beyond if beyond > 0 else 0.0
 
 
+def shown_by(found: dict, made_up: Sequence[dict]) -> bool:
+    """Whether a sensor makes up an effect, and half as much of it at least as was found; both as in report.json."""
+
+    def change(effect: dict) -> float:
+        return max(abs(p["estimate"] - p["nominal"]) for p in effect["parameters"].values())
+
+    same = [e for e in made_up if (e["effect"], e["target"]) == (found["effect"], found["target"])]
+    return any(change(e) > 0.5 * change(found) for e in same)
+
+
 def discover(
     task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: Discovery, seed: int,
@@ -99,8 +109,9 @@ def discover(
     Returns:
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
-        ``explained`` in that channel; the diagnosis's ``estimates``, its error ``before`` and
-        ``after``, in units of the sensor's noise, and the errors of the channels of ``target`` and ``control``.
+        ``explained`` in that channel; the diagnosis's ``estimates``, and what the sensor ``made_up`` in the control;
+        the error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
+        ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
@@ -118,18 +129,19 @@ def discover(
         for d in read
     )  # fmt: skip
     found = [e for e in seen.effects if e.name != "numerics"]
-    made_up = {(e.name, e.target) for e in checked.effects}
+    estimates, made_up = ([e for e in d.report["effects"] if e["effect"] != "numerics"] for d in (seen, checked))
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     believable = any(excess > more and explained > share for more, share in BELIEVED)
-    believed = [e for e in found if (e.name, e.target) not in made_up and believable]
-    report = {e["effect"] + e["target"]: e for e in seen.report["effects"]}
-    for e in found:
-        log.info("effect found from images: %s", report.get(e.name + e.target, e))
+    real = {(e["effect"], e["target"]) for e in estimates if believable and not shown_by(e, made_up)}
+    believed = [e for e in found if (e.name, e.target) in real]
+    for e in estimates:
+        log.info("effect found from images: %s", e)
     return {
         "effects": [e.to_dict() for e in believed],
         "disbelieved": [e.to_dict() for e in found if e not in believed],
-        "estimates": [e for e in seen.report["effects"] if e["effect"] != "numerics"],
+        "estimates": estimates,
+        "made_up": made_up,
         "excess": excess,
         "explained": explained,
         "before": seen.report["error"]["before"],

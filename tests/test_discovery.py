@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, beyond_the_control, discover
+from idapt_pl.discovery import Discovery, beyond_the_control, discover, shown_by
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.sensing import Calibration, Sensor, calibrate, compared
 from idapt_pl.tasks import make_task
@@ -104,6 +104,15 @@ def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
         assert np.array_equal(there.actions, here.actions)
         again = Reader().predict(torch.from_numpy(there.observations["pixels"][:, None])).numpy()[:, :2]
         assert here.observations["qpos"] == pytest.approx(again, abs=1e-2)
+
+
+def test_what_a_sensor_makes_up_counts_by_how_much_of_it_there_is():
+    def delay(seconds, target="slide"):
+        parameters = {"delay": {"nominal": 0.0, "estimate": seconds}}
+        return {"effect": "actuator_delay", "target": target, "parameters": parameters}
+
+    assert shown_by(delay(0.04), [delay(0.03)]) and not shown_by(delay(0.04), [delay(0.01)])
+    assert not shown_by(delay(0.04), [delay(0.04, "elsewhere")]) and not shown_by(delay(0.04), [])
 
 
 def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
