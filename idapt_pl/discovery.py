@@ -110,8 +110,8 @@ def discover(
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the diagnosis's ``estimates``, and what the sensor ``made_up`` in the control;
-        the error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
-        ``control``.
+        the errors of the ``sensor`` there, for each degree of freedom; the error ``before`` and ``after``, in units of
+        the sensor's noise, and that of the channels of ``target`` and ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
@@ -144,6 +144,7 @@ def discover(
         "made_up": made_up,
         "excess": excess,
         "explained": explained,
+        "sensor": {name: np.round(errors, 5).tolist() for name, errors in vars(calibration).items()},
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],
         "target": errors[0],

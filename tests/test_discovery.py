@@ -83,6 +83,7 @@ def test_a_planted_effect_is_found(tmp_path, hidden):
     value, truth = next(iter(effect["parameters"].values())), next(iter(hidden.to_dict()["parameters"].values()))
     assert value == pytest.approx(truth, rel=0.1)
     assert result["after"] < 0.5 * result["before"]
+    assert result["sensor"]["position"] == pytest.approx([1e-3, 1e-3], rel=0.5)
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):
