@@ -33,7 +33,7 @@ from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.report import write_report
 from idapt_pl.diagnosis.state import Settings
-from idapt_pl.diagnosis.words import error_rows, estimate, meaning, number, unit_at, verdict_in_words
+from idapt_pl.diagnosis.words import episodes, error_rows, estimate, meaning, number, unit_at, verdict_in_words
 from idapt_pl.domains import Effect, effect_from_dict
 from idapt_pl.files import write_atomically
 from idapt_pl.grounding import IterativeGrounding
@@ -194,7 +194,7 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     report, model, console = diagnosis.report, diagnosis.sim.model, Console()
     for sentence in verdict_in_words(report, model):
         console.print(escape(sentence), soft_wrap=True, highlight=False)
-    errors = Table(title=f"error on held-out episodes {report['error']['held_out_episodes']} (1 = measurement noise)")
+    errors = Table(title=f"error on held-out {episodes(report['error']['held_out_episodes'])} (1 = measurement noise)")
     for title, how in (("", "left"), ("error", "right"), ("", "left")):
         errors.add_column(title, justify=how)
     for name, value, what in error_rows(report):

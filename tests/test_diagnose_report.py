@@ -17,7 +17,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair
 from idapt_pl.diagnosis.report import write_report
-from idapt_pl.diagnosis.words import estimate, meaning, number, unit_at, verdict_in_words
+from idapt_pl.diagnosis.words import episodes, estimate, meaning, number, unit_at, verdict_in_words
 from idapt_pl.domains import effect_from_dict
 
 NOMINAL, HIDDEN = 0.01, 0.06
@@ -458,3 +458,8 @@ def test_help_teaches(capsys):
         assert words in printed, words
     assert "(default: None)" not in printed
     assert "idapt diagnose" in (ROOT / "docs" / "diagnose.md").read_text()
+
+
+def test_episodes_are_listed_where_they_are_few():
+    assert episodes([3]) == "episode 3" and episodes([0, 2]) == "episodes 0, 2"
+    assert episodes(range(145)) == "145 episodes"

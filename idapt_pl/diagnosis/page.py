@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.repaired import Repaired
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.state import Tried
 from idapt_pl.diagnosis.words import (
+    episodes,
     error_rows,
     estimate,
     headline,
@@ -118,11 +119,6 @@ def row(*cells: str, kind: str = "") -> str:
 def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
-
-
-def episodes(numbers: Sequence[int]) -> str:
-    """As in "episodes 0, 1, 2"."""
-    return f"episode{'s' * (len(numbers) != 1)} {', '.join(map(str, numbers))}"
 
 
 # --- the parts, from top to bottom ------------------------------------------------------------------

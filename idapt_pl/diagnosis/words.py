@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import mujoco
 import numpy as np
@@ -229,6 +229,13 @@ def error_rows(report: dict) -> list[tuple[str, float, str]]:
         ("noise floor", error["noise_floor"], "a perfect model: what the measurement noise alone leaves"),
         ("ceiling", error["ceiling"], "the given model, corrected by a black box (a regression on state and commands)"),
     ]
+
+
+def episodes(numbers: Sequence[int], most: int = 12) -> str:
+    """As in "episodes 0, 1, 2", or how many there are where they are more than anyone reads."""
+    if len(numbers) > most:
+        return f"{len(numbers)} episodes"
+    return f"episode{'s' * (len(numbers) != 1)} {', '.join(map(str, numbers))}"
 
 
 def worst_channels(per_channel: dict[str, dict], most: int = 4) -> list[str]:
