@@ -2,7 +2,7 @@
 
     python benchmarks/quick.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
     python benchmarks/discovery.py --seeds 0 1 2 3 4
-    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --runs runs/benchmark_cheetah_quick_IDAPT
+    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --steps 4000 --runs runs/curves_cheetah_quick_4000
 
 Targets look like the task's hard domain and move like its source but for what is hidden. The sensor, the policy's
 encoder, is that of a finished run (trained against the hard domain itself), so other cases than that domain's own
@@ -128,7 +128,9 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--config", default="pendulum_quick", help="of the runs whose sensors are used")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    p.add_argument("--cases", nargs="+", help="default all of the task")
+    p.add_argument(
+        "--cases", nargs="+", choices=[c for of in CASES.values() for c in of], help="default all of the task"
+    )
     p.add_argument("--looks", choices=(HARD, TRANSLATED), default=HARD, help="what the sensor sees")
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
     p.add_argument("--runs", default=None, help="folders of the runs, less _<seed>; default as benchmarks/quick.py")

@@ -132,7 +132,9 @@ def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpe
     """
     worlds = grounding.worlds
     domain, sensor = worlds.source_domain, Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
-    known = sensor.read([grounding.stages.folder(0) / "source.h5"], load_visual(grounding))
+    run = grounding.stages.run_dir  # the sensor was not fitted to the control, where the run has one
+    newest = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
+    known = sensor.read([newest], load_visual(grounding))
     calibration = calibrate(worlds.task, domain.compile(), known)
     how = {"noise": calibration.noise, "unmeasured": worlds.task.unseen}
     return domain.spec(), compared(sensor.read([data]), calibration), how
