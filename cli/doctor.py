@@ -22,6 +22,7 @@ from rich.table import Table
 from torchvision.extension import _has_ops as torchvision_has_ops
 
 from cli.arguments import parser
+from idapt_pl.modules.training import computes_bfloat16
 
 BACKENDS = ("egl", "osmesa")
 FREE_GB = 5
@@ -70,7 +71,8 @@ def main(args: list[str]) -> int:
     if renders:  # one backend is enough
         rendering = [c if c.status == "ok" else replace(c, status="warn") for c in rendering]
     software = [check_python(), *check_packages(), check_torchvision()]
-    checks = [*software, *rendering, check_filament(), check_gpu(), check_threads(), check_disk()]
+    machine = [check_filament(), check_gpu(), check_bfloat16(), check_threads(), check_disk()]
+    checks = [*software, *rendering, *machine]
     if o.json:
         print(json.dumps([asdict(c) for c in checks], indent=2))
     else:
@@ -158,6 +160,13 @@ def check_gpu() -> Check:
             "GPU", "warn", found, "install a CUDA build of torch that the driver supports: https://pytorch.org"
         )
     return Check("GPU", "ok", "none; training runs on the CPU")
+
+
+def check_bfloat16() -> Check:
+    """Whether training uses bfloat16; either is fine."""
+    if computes_bfloat16("cuda" if torch.cuda.is_available() else "cpu"):
+        return Check("bfloat16", "ok", "the device computes in it, and convolutions use it")
+    return Check("bfloat16", "ok", "the device has no instructions for it; all is computed in float32")
 
 
 def check_threads() -> Check:

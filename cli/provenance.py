@@ -18,6 +18,7 @@ from jsonargparse import ArgumentParser, Namespace
 
 from idapt_pl.domains.rendering import filament_is_used
 from idapt_pl.files import write_atomically, write_json
+from idapt_pl.modules.training import computes_bfloat16
 
 CHANGE_NOTHING = {
     "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers", "render_processes",
@@ -76,6 +77,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
         "cpu": cpu_model(),
         "cpu_threads": torch.get_num_threads(),
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+        "bfloat16": computes_bfloat16("cuda" if torch.cuda.is_available() else "cpu"),
         "filament": filament_is_used(),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
     }

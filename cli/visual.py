@@ -21,6 +21,7 @@ from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
 from datamodules.images import ImageDomains
 from idapt_pl.modules import VisualTransformation
+from idapt_pl.modules.training import computes_bfloat16
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.probes import fit_state_predictor
 
@@ -73,7 +74,6 @@ class VisualCLI(LightningCLI):
                 auto_configure_optimizers=False,
                 seed_everything_default=0,
                 trainer_defaults={
-                    "precision": "bf16-mixed",
                     "max_epochs": 200,
                     "log_every_n_steps": 10,
                     "enable_model_summary": False,
@@ -151,6 +151,9 @@ class VisualCLI(LightningCLI):
         if self.subcommand == "fit":
             keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
             kwargs["callbacks"] = [*(config.callbacks or []), SeedEpochs(int(self.options.seed_everything)), keep]
+        if config.precision is None:
+            on_gpu = config.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
+            kwargs["precision"] = "bf16-mixed" if computes_bfloat16("cuda" if on_gpu else "cpu") else "32-true"
         if config.strategy in ("auto", "ddp"):
             kwargs["strategy"] = strategy(config.accelerator, config.devices, int(config.num_nodes))
         kwargs["default_root_dir"] = str(self.run_dir)

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 
 from datamodules import OnPolicyDataModule, ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import GroundedEnv
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation, training
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import to_float
@@ -51,6 +51,25 @@ class Fixed(L.LightningDataModule):
 class Labels:
     def __init__(self, labels):
         self.labels = labels.numpy()
+
+
+# --- precision ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("can", "asked", "expected"),
+    [(True, True, torch.bfloat16), (False, True, torch.float32), (True, False, torch.float32)],
+)
+def test_bfloat16_is_used_where_it_is_asked_for_and_the_device_computes_in_it(monkeypatch, can, asked, expected):
+    monkeypatch.setattr(training, "computes_bfloat16", lambda device: can)
+    conv = nn.Conv2d(3, 4, 3)
+    with training.fast_precision(torch.device("cpu"), asked):
+        assert conv(torch.zeros(1, 3, 8, 8)).dtype == expected
+
+
+def test_devices_without_bfloat16_are_known():
+    assert training.computes_bfloat16("cpu") == torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    assert not training.computes_bfloat16("meta")
 
 
 # --- P^S ------------------------------------------------------------------------------------------------

@@ -107,7 +107,7 @@ class AsymmetricSAC(ManualModule):
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
             state from the source's task-agnostic data. G has learned from such states; far from them, or where their
             components go together differently, its images cannot be relied on.
-        bf16: bfloat16 autocast in the encoder.
+        bf16: bfloat16 autocast in the encoder, where the device computes in it.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ class StatePredictor(L.LightningModule):
         rates: state component to the component it is the rate of; taken from the task.
         dt: control period, s; taken from the task.
         lr: Adam.
-        bf16: bfloat16 autocast.
+        bf16: bfloat16 autocast, where the device computes in it.
     """
 
     def __init__(

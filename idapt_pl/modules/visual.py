@@ -66,7 +66,7 @@ class VisualTransformation(ManualModule):
         vision: how images are looked at; the same for all modules.
         rates: state component to the component it is the rate of; taken from the task.
         dt: control period, s; taken from the task.
-        bf16: bfloat16 autocast.
+        bf16: bfloat16 autocast, where the device computes in it.
         channels_last: keep the networks' weights with channels last, which convolutions on GPUs prefer.
         compile_nets: compile the networks with torch.compile (the first batches then take a minute or more).
         images_every: batches between image grids in TensorBoard.
