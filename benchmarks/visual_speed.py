@@ -11,8 +11,8 @@ through a network, the generators' step before the discriminators', floats from 
 `idapt visual`: the same losses and batch through Trainer and data module, without loggers, with
 
 - ``float32``: all that goes through a network in one pass, bytes until the device, fused Adam;
-- ``bfloat16``: and autocast; ``channels_last``, ``compiled``: and those. Compiling for a CPU takes minutes, so these
-  variants are measured there only if named.
+- ``bfloat16``: and autocast, where the device computes in it; ``channels_last``, ``compiled``: and those. Compiling for
+  a CPU takes minutes, so these variants are measured there only if named.
 
 ``waiting`` is the share of the time that the loop waits for data. ``roofline`` is the arithmetic of a step (counted by
 PyTorch's FLOP counter) over what the same device does in large matrix products of that precision, measured beside it.
@@ -48,15 +48,18 @@ from datamodules.images import ImageDomains
 from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.image_pool import ImagePool
+from idapt_pl.modules.training import computes_bfloat16
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
 VARIANTS = {
     "float32": ("32-true", {}),
+    "float32 channels_last": ("32-true", {"channels_last": True}),
     "bfloat16": ("bf16-mixed", {}),
     "bfloat16 channels_last": ("bf16-mixed", {"channels_last": True}),
     "bfloat16 compiled": ("bf16-mixed", {"compile_nets": True}),
     "bfloat16 channels_last compiled": ("bf16-mixed", {"channels_last": True, "compile_nets": True}),
 }
+REFERENCE = ("32-true", {})
 KEY = ("preset", "size", "batch", "device", "variant")
 WARM_UP = 3
 """Steps before the clock runs (more where networks are compiled: the first steps compile)."""
@@ -66,6 +69,14 @@ def preset(name: str) -> tuple[dict, int]:
     """Constructor arguments of a preset, and its batch size."""
     config = yaml.safe_load((ROOT / "configs" / "visual" / f"{name}.yaml").read_text())
     return config["model"], config["data"]["batch_size"]
+
+
+def suits(variant: str, device: torch.device) -> bool:
+    """Whether a variant is worth measuring on a device."""
+    precision, options = VARIANTS[variant]
+    if precision == "bf16-mixed" and not computes_bfloat16(device):
+        return False
+    return device.type == "cuda" or not options.get("compile_nets")
 
 
 def synchronized(device: torch.device) -> float:
@@ -216,19 +227,19 @@ def training_rows(name: str, size: int, device: torch.device, o: argparse.Namesp
             for variant in o.variants:
                 times[variant].append(trained(settings, variant, data, device, o.steps))
     flops, rows = step_flops(settings, size, batch), []
-    peaks = {d: peak_flops(device, getattr(torch, d)) for d in ("float32", "bfloat16")}
+    dtypes = {v: torch.float32 if VARIANTS.get(v, REFERENCE)[0] == "32-true" else torch.bfloat16 for v in times}
+    peaks = {dtype: peak_flops(device, dtype) for dtype in set(dtypes.values())}
     reference = statistics.median(t for t, _ in times["reference"])
     for variant, measured in times.items():
         seconds = statistics.median(t for t, _ in measured)
         waiting = statistics.median(w for _, w in measured)
-        peak = peaks["bfloat16" if variant.startswith("bfloat16") else "float32"]
         rows.append(
             {
                 "preset": name, "size": size, "batch": batch, "device": device.type, "variant": variant,
                 "step_ms": round(1e3 * seconds, 1), "images_per_second": round(batch / seconds, 2),
                 "times_reference": round(reference / seconds, 2),
                 "waiting": "" if waiting != waiting else round(waiting / seconds, 4),
-                "gflop_step": round(flops / 1e9, 1), "roofline": round(flops / seconds / peak, 3),
+                "gflop_step": round(flops / 1e9, 1), "roofline": round(flops / seconds / peaks[dtypes[variant]], 3),
             }
         )  # fmt: skip
     return rows
@@ -297,14 +308,14 @@ def main() -> None:
     p.add_argument("--presets", nargs="+", default=["paper", "official", "fast"])
     p.add_argument("--sizes", nargs="+", type=int, default=[100, 256])
     p.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    p.add_argument("--variants", nargs="+", choices=VARIANTS, help="default: all, on a CPU without the compiled")
+    p.add_argument("--variants", nargs="+", choices=VARIANTS, help="default: those that suit the device")
     p.add_argument("--rounds", type=int, default=3, help="turns of each loop; their median counts")
     p.add_argument("--steps", type=int, default=10, help="timed steps in each turn")
     p.add_argument("--dry", action="store_true", help="print only, write no file")
     o = p.parse_args()
     warnings.filterwarnings("ignore")
     device = torch.device(o.device)
-    o.variants = o.variants or [v for v in VARIANTS if device.type == "cuda" or "compiled" not in v]
+    o.variants = o.variants or [v for v in VARIANTS if suits(v, device)]
     for name, size in itertools.product(o.presets, o.sizes):
         training, inference = training_rows(name, size, device, o), inference_rows(name, size, device, o)
         if o.dry:
