@@ -135,6 +135,9 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
             {"effect": "joint_armature", "target": "hinge", "parameters": armature},
         ],
     }
+    hinge = {"noise": 0.0123, "before": 0.456, "after": 0.0135, "unit": "rad"}
+    effects |= {"before": 17.5, "after": 1.04, "excess": 25.0, "target": {"hinge position": hinge}}
+    effects["control"] = {"hinge position": hinge | {"before": 0.0182}}
     (copied / "step_01/selection.json").write_text(json.dumps(decision))
     (copied / "step_02/effects.json").write_text(json.dumps(effects))
     (copied / "step_00/oracle_evaluation.json").write_text(json.dumps({"mean": 987.0, "std": 1.0}))
@@ -142,6 +145,8 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     assert "F is rolled back: it is clearly worse" in text and "+0.5 to +0.7" in text
     assert "mass of body pole mass 187 180 to 194 kg added to the source" in text
     assert "not believed: it may be an error of the estimator" in text
+    assert "17.5 times the sensor's noise away" in text and "1.04 times with all the effects found" in text
+    assert "hinge position rad 0.0123 0.456 0.0135 0.0182" in text
     assert "987 ± 1.0 oracle" in text
 
 

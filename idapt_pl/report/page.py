@@ -6,12 +6,11 @@ import json
 from html import escape
 from pathlib import Path
 
-import mujoco
-
 from idapt_pl.diagnosis.page import CSS, paragraph, row, section, table
-from idapt_pl.diagnosis.words import estimate, meaning, number, unit_at
+from idapt_pl.diagnosis.words import number
 from idapt_pl.files import write_atomically
 from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.report.effects import effects
 from idapt_pl.report.figures import returns
 from idapt_pl.report.pictures import data_uri, png, shown
 from idapt_pl.report.record import Record, Step, read_record
@@ -257,25 +256,6 @@ def appearance(step: Step) -> str:
     heads = ("visual effect found", "where", "what", "#value", "#standard deviation", "unit")
     values = f"<details><summary>Values</summary>\n{table(heads, rows)}</details>" if rows else ""
     return told + f'<div class="look">{picture}</div>' + values
-
-
-def effects(step: Step, model: mujoco.MjModel) -> str:
-    """What the target's images show the source to lack."""
-    if not step.effects:
-        return ""
-    believed = {(e["effect"], e["target"]) for e in step.effects.get("effects", [])}
-    rows = []
-    for e in step.effects.get("estimates", []):
-        known = (e["effect"], e["target"]) in believed
-        for name, p in e["parameters"].items():
-            value, interval = estimate(p["estimate"], p["ci95"])
-            fate = "added to the source" if known else "not believed: it may be an error of the estimator"
-            what = (meaning(e["effect"], e["target"]), name, f"#{value}", f"#{interval or '-'}")
-            rows.append(row(*what, unit_at(model, e["target"], p["unit"]), fate, kind="accepted" if known else ""))
-    if not rows:
-        return paragraph("Effects that the source lacks were looked for in the target's images; none was found.")
-    heads = ("effect looked for and found", "parameter", "#estimate", "#95 % interval", "unit", "")
-    return table(heads, rows)
 
 
 def numbers(step: Step, metric: str) -> str:

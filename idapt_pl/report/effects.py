@@ -1,0 +1,63 @@
+"""What a grounding step found missing in the source by the target's images: effects, residuals, the sensor's errors."""
+
+from __future__ import annotations
+
+import mujoco
+
+from idapt_pl.diagnosis.page import paragraph, row, table
+from idapt_pl.diagnosis.words import estimate, meaning, number, unit_at
+from idapt_pl.report.record import Step
+
+
+def effects(step: Step, model: mujoco.MjModel) -> str:
+    """What was found, what it removes of the residual, and what that was read with; empty where nothing was sought."""
+    if not step.effects:
+        return ""
+    rows = found(step.effects, model)
+    heads = ("effect looked for and found", "parameter", "#estimate", "#95 % interval", "unit", "")
+    none = "Effects that the source lacks were looked for in the target's images; none was found."
+    return residuals(step.effects) + (table(heads, rows) if rows else paragraph(none)) + channels(step.effects)
+
+
+def residuals(effects: dict) -> str:
+    """How far the source is from the target, before and after the effects."""
+    if "before" not in effects:
+        return ""
+    before, after, excess = (number(effects[k]) for k in ("before", "after", "excess"))
+    return paragraph(
+        f"Replaying the target's actions, the source is {before} times the sensor's noise away from what the target's "
+        f"images show (held-out episodes), and {after} times with all the effects found. In the channel that stands "
+        f"out most it is {excess} times as far off as where it replays its own actions."
+    )
+
+
+def found(effects: dict, model: mujoco.MjModel) -> list[str]:
+    """A row for each parameter of each effect, and whether it was added."""
+    believed, rows = {(e["effect"], e["target"]) for e in effects.get("effects", [])}, []
+    for e in effects.get("estimates", []):
+        known = (e["effect"], e["target"]) in believed
+        for name, p in e["parameters"].items():
+            value, interval = estimate(p["estimate"], p["ci95"])
+            fate = "added to the source" if known else "not believed: it may be an error of the estimator"
+            what = (meaning(e["effect"], e["target"]), name, f"#{value}", f"#{interval or '-'}")
+            rows.append(row(*what, unit_at(model, e["target"], p["unit"]), fate, kind="accepted" if known else ""))
+    return rows
+
+
+def channels(effects: dict) -> str:
+    """Residuals and the sensor's error, channel by channel, folded away."""
+    if not effects.get("target"):
+        return ""
+    heads = ("channel", "unit", "#the sensor is off by", "#target, before", "#target, after", "#source replays itself")
+    rows = []
+    for name, error in effects["target"].items():
+        control = effects["control"].get(name)
+        values = (error["noise"], error["before"], error["after"], control and control["before"])
+        rows.append(row(name, error["unit"], *("#-" if v is None else f"#{number(v)}" for v in values)))
+    told = paragraph(
+        "Root mean square. The sensor is what estimates states from images; its error is measured on images of the "
+        "source, as G shows them, whose states are known. The last column is what the same search makes of those.",
+        "small",
+    )
+    title = "Channel by channel, and how well the images are read"
+    return f"<details><summary>{title}</summary>\n{table(heads, rows)}{told}</details>"
