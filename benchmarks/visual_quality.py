@@ -2,7 +2,7 @@
 
     python benchmarks/visual_quality.py [--tasks inverted_pendulum walker2d] [--targets easy hard] [--seeds 0 1 2]
 
-Trains ``idapt visual`` at the quick configs' size on recordings of exploration and writes
+Trains ``idapt visual`` with the quick configs' networks on recordings of exploration, for about half as long, and writes
 ``results/visual_quality.csv``, a row a run, as runs finish (rows that are there are not repeated). Below
 runs/visual_quality/ each run keeps its picture, ``quality.png``. Columns, all on images of states not trained on:
 
@@ -125,9 +125,9 @@ def main() -> None:
     p.add_argument("--targets", nargs="+", default=["easy", "hard"])
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     p.add_argument("--weights", type=float, nargs="+", default=[5.0, 0.0], help="of state reconstruction")
-    p.add_argument("--images", type=int, default=5000, help="recorded of each domain")
-    p.add_argument("--epochs", type=int, default=2, help="of images/4 batches; 2 is the quick config's length")
-    p.add_argument("--state_batches", type=int, default=3000, help="to fit P^S, and the probe")
+    p.add_argument("--images", type=int, default=4000, help="recorded of each domain")
+    p.add_argument("--epochs", type=int, default=1, help="of images/4 batches")
+    p.add_argument("--state_batches", type=int, default=1200, help="to fit P^S, and the probe")
     p.add_argument("--out", type=Path, default=OUT)
     o = p.parse_args()
     rows = read_rows(o.out)

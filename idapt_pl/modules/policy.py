@@ -144,13 +144,16 @@ class AsymmetricSAC(ManualModule):
         f: PixelEncoder | PixelStatePredictor = vision.encoder(image_size, frame_stack)
         if encoder == "supervised":
             f = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
-        self.actor = ImageActor(f, action_low, action_high, hidden)
-        self.critic = TwinCritic(state_dim, self.actor, hidden)
-        self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
-        self.log_alpha = nn.Parameter(torch.tensor(float(np.log(temperature))))
-        self.register_buffer("updates", torch.zeros((), dtype=torch.long))
+        self.add_networks(ImageActor(f, action_low, action_high, hidden), state_dim)
         self.register_buffer("familiar_mean", torch.zeros(state_dim))
         self.register_buffer("familiar_precision", torch.eye(state_dim))
+
+    def add_networks(self, actor: ImageActor, state_dim: int) -> None:
+        """The actor, critics to match with their slow copies, and the temperature."""
+        self.actor, self.critic = actor, TwinCritic(state_dim, actor, self.hparams.hidden)
+        self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
+        self.log_alpha = nn.Parameter(torch.tensor(float(np.log(self.hparams.temperature))))
+        self.register_buffer("updates", torch.zeros((), dtype=torch.long))
 
     def know(self, states: Tensor) -> None:
         """Take what is familiar from the states (n, state_dim) of the source's task-agnostic data."""

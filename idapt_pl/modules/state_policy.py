@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from idapt_pl.modules.policy import AsymmetricSAC, ImageActor, TwinCritic
+from idapt_pl.modules.policy import AsymmetricSAC, ImageActor
 
 
 class Standardise(nn.Module):
@@ -53,11 +52,7 @@ class StateSAC(AsymmetricSAC):
         super(AsymmetricSAC, self).__init__()  # its parts are other ones here
         self.save_hyperparameters()
         self.hparams.update(encoder="states", bf16=False, misperception=0.0)
-        self.actor = ImageActor(Standardise(state_dim), action_low, action_high, hidden)
-        self.critic = TwinCritic(state_dim, self.actor, hidden)
-        self.critic_target = copy.deepcopy(self.critic).requires_grad_(False)
-        self.log_alpha = nn.Parameter(torch.tensor(float(np.log(temperature))))
-        self.register_buffer("updates", torch.zeros((), dtype=torch.long))
+        self.add_networks(ImageActor(Standardise(state_dim), action_low, action_high, hidden), state_dim)
 
     @torch.no_grad()
     def encode(self, pixels: np.ndarray) -> Tensor:
