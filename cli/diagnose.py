@@ -37,7 +37,7 @@ from idapt_pl.diagnosis.words import episodes, error_rows, estimate, meaning, nu
 from idapt_pl.domains import Effect, effect_from_dict
 from idapt_pl.files import write_atomically
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.sensing import Sensor, calibrate, compared
+from idapt_pl.sensing import Sensor, read_calibrated
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -134,10 +134,9 @@ def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpe
     domain, sensor = worlds.source_domain, Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
     run = grounding.stages.run_dir  # the sensor was not fitted to the control, where the run has one
     newest = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
-    known = sensor.read([newest], load_visual(grounding))
-    calibration = calibrate(worlds.task, domain.compile(), known)
-    how = {"noise": calibration.noise, "unmeasured": worlds.task.unseen}
-    return domain.spec(), compared(sensor.read([data]), calibration), how
+    readings = read_calibrated(sensor, domain.compile(), [data], [newest], load_visual(grounding))
+    how = {"noise": readings.calibration.noise, "unmeasured": worlds.task.unseen}
+    return domain.spec(), readings.target, how
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

@@ -21,7 +21,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import Sensor, calibrate, compared
+from idapt_pl.sensing import Sensor, read_calibrated
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -110,15 +110,15 @@ def discover(
         ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the diagnosis's ``estimates``, and what the sensor ``made_up`` in the control;
-        the errors of the ``sensor`` there, for each degree of freedom; the error ``before`` and ``after``, in units of
-        the sensor's noise, and that of the channels of ``target`` and ``control``.
+        the errors of the ``sensor`` there, for each degree of freedom, and the shares of frames left ``unread``; the
+        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
+        ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
 
-    seen, checked = sensor.read(target), sensor.read(control, G)
-    calibration = calibrate(task, model, checked)
-    read = [compared(d, calibration) for d in (seen, checked)]
+    readings = read_calibrated(sensor, model, target, control, G)
+    read, calibration = (readings.target, readings.control), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
     seen, checked = (
@@ -144,6 +144,7 @@ def discover(
         "made_up": made_up,
         "excess": excess,
         "explained": explained,
+        "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": {name: np.round(errors, 5).tolist() for name, errors in vars(calibration).items()},
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],

@@ -19,6 +19,9 @@ from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.tasks import Task
 
+FAMILIAR = 3.5
+"""Spreads from the mean of the source's positions; further out there was hardly a frame to learn from."""
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -55,17 +58,21 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How far a sensor is off, root mean square, on frames whose state is known.
+    """How far a sensor is off on frames whose state is known; root mean square but for bias and lag, (nv,) each.
 
     Attributes:
-        position: m or rad, (nv,).
-        velocity: as read, m/s or rad/s, (nv,).
-        slope: of velocities that are central slopes of the positions read, (nv,).
+        position: m or rad.
+        velocity: as read, m/s or rad/s.
+        slope: of velocities that are central slopes of the positions read.
+        bias: mean error of positions, m or rad. Part of ``position``; not taken off, as the target's is another.
+        lag: by how much positions trail the motion, s; likewise.
     """
 
     position: np.ndarray
     velocity: np.ndarray
     slope: np.ndarray
+    bias: np.ndarray
+    lag: np.ndarray
 
     @property
     def reads_velocities(self) -> bool:
@@ -90,13 +97,89 @@ def compared(read: Trajectories, calibration: Calibration) -> Trajectories:
 
 def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories) -> Calibration:
     """The errors of what a sensor read from source images, whose states are known."""
-    errors: list[tuple[np.ndarray, ...]] = []
+    errors, speeds = [], []
     for episode in read:
         seen = episode.observations
         qpos, qvel = task.motion(np.asarray(seen["state"], float), read.dt)
         sloped = slopes(model, read.dt * np.arange(len(qpos)), seen["qpos"])
         errors.append((difference(model, qpos, seen["qpos"]), seen["qvel"] - qvel, sloped - qvel))
-    return Calibration(*(np.sqrt(np.square(np.concatenate(e)).mean(0)) for e in zip(*errors, strict=True)))
+        speeds.append(qvel)
+    position, velocity, slope = (np.concatenate(e) for e in zip(*errors, strict=True))
+    speed = np.concatenate(speeds) - np.concatenate(speeds).mean(0)
+    lag = -(speed * position).mean(0) / np.maximum(np.square(speed).mean(0), 1e-12)
+    return Calibration(*(np.sqrt(np.square(e).mean(0)) for e in (position, velocity, slope)), position.mean(0), lag)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What a calibrated sensor read.
+
+    Attributes:
+        target: positions, and velocities where they are read better than slopes.
+        control: likewise, of the source.
+        calibration: on the control.
+        unread: shares of the frames that were left out, ``target`` and ``control``.
+    """
+
+    target: Trajectories
+    control: Trajectories
+    calibration: Calibration
+    unread: dict[str, float]
+
+
+def read_calibrated(
+    sensor: Sensor, model: mujoco.MjModel, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation
+) -> Readings:
+    """Read recordings of the target, and learn from the source's how far that is off.
+
+    Args:
+        sensor: reads target images.
+        model: of the source.
+        target: trajectory files; images and actions are all that is used.
+        control: trajectory files of the source with images and states; best such that the sensor was not fitted to.
+        G: shows source images as target images.
+    """
+    given = {"target": sensor.read(target), "control": sensor.read(control, G)}
+    kept = {k: readable(sensor.task, model, read, given["control"]) for k, read in given.items()}
+    unread = {k: 1 - sum(len(e) + 1 for e in kept[k]) / sum(len(e) + 1 for e in given[k]) for k in given}
+    calibration = calibrate(sensor.task, model, kept["control"])
+    return Readings(*(compared(kept[k], calibration) for k in given), calibration, unread)
+
+
+def readable(task: Task, model: mujoco.MjModel, read: Trajectories, known: Trajectories) -> Trajectories:
+    """What a sensor read, without frames that show what it hardly saw when it was fitted: episodes end before them.
+
+    A few such frames would make up most of its root mean square error. Where most frames are such, all are kept.
+
+    Args:
+        task: whose ``unseen`` joints do not count.
+        model: of the source.
+        read: by the sensor.
+        known: what it read of the source, with states; they tell what is familiar.
+    """
+    motions = (task.motion(np.asarray(e.observations["state"], float), known.dt)[0] for e in known)
+    qpos = np.concatenate(list(motions))
+    mean, counts = qpos.mean(0), [model.joint(j).name not in task.unseen for j in model.dof_jntid]
+    far = FAMILIAR * difference(model, mean, qpos).std(0)
+    familiar = [
+        (np.abs(difference(model, mean, e.observations["qpos"])) <= far)[:, counts].all(1) for e in read
+    ]  # fmt: skip
+    if np.concatenate(familiar).mean() < 0.5:
+        return read
+    kept = [cut(e, *run) for e, ok in zip(read, familiar, strict=True) for run in runs(ok)]
+    return replace(read, episodes=tuple(kept))
+
+
+def runs(ok: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end of the runs of two or more that hold."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], ok.astype(int), [0]])))
+    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a > 1]
+
+
+def cut(episode: Episode, begin: int, end: int) -> Episode:
+    """The frames from ``begin`` to before ``end``."""
+    seen = {name: values[begin:end] for name, values in episode.observations.items()}
+    return Episode(episode.actions[begin : end - 1], seen)
 
 
 @torch.no_grad()

@@ -1,5 +1,7 @@
 """Effects found from images and actions: planted ones, none where nothing is planted, none that the sensor makes up."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import torch
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from idapt_pl.discovery import Discovery, beyond_the_control, discover, shown_by
 from idapt_pl.domains.effects import BodyMass, JointDamping
-from idapt_pl.sensing import Calibration, Sensor, calibrate, compared
+from idapt_pl.sensing import Calibration, Sensor, calibrate, compared, readable
 from idapt_pl.tasks import make_task
 
 LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
@@ -132,8 +134,61 @@ def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
     assert found.noise.start == pytest.approx(np.concatenate([found.position, found.slope]))
 
 
+def swings(n=40, T=50, seed=0):
+    """Episodes of the pendulum's states, one sine each, as a sensor without errors reads them."""
+    rng, episodes = np.random.default_rng(seed), []
+    for _ in range(n):
+        phase = rng.uniform(0, 2 * np.pi, 2) + np.linspace(0, 4, T + 1)[:, None]
+        qpos, qvel = np.sin(phase) * (0.05, 0.1), np.cos(phase) * (0.05, 0.1) * 4 / (T * 0.04)
+        seen = {"qpos": qpos, "qvel": qvel, "state": np.concatenate([qpos, qvel], 1)}
+        episodes.append(Episode(np.zeros((T, 1), np.float32), seen))
+    return Trajectories(tuple(episodes), 0.04)
+
+
+def misread(data, change):
+    """The same, with ``change(qpos, qvel)`` as the positions that were read."""
+    seen = (e.observations for e in data)
+    return replace(data, episodes=tuple(
+        replace(e, observations=o | {"qpos": change(o["qpos"], o["qvel"])}) for e, o in zip(data, seen, strict=True)
+    ))  # fmt: skip
+
+
+def test_bias_and_lag_of_a_sensor_are_measured():
+    task = make_task("inverted_pendulum")
+    read = misread(swings(), lambda qpos, qvel: np.array([0.01, -0.02]) + qpos - 0.03 * qvel)
+    found = calibrate(task, task.domain("source").compile(), read)
+    assert found.bias == pytest.approx([0.01, -0.02], abs=1e-3) and found.lag == pytest.approx([0.03, 0.03], rel=0.02)
+
+
+def test_frames_unlike_those_a_sensor_learned_from_are_left_out():
+    """A cart far out is not readable: the episode ends there, and goes on after it with the right actions."""
+    task = make_task("inverted_pendulum")
+    model, known = task.domain("source").compile(), swings()
+    out = np.zeros((51, 2))
+    out[20:25, 0] = 0.5
+    read = misread(swings(3, seed=1), lambda qpos, qvel: qpos + out)
+    numbered = tuple(replace(e, actions=np.arange(50, dtype=np.float32)[:, None]) for e in read)
+    kept = readable(task, model, replace(read, episodes=numbered), known)
+    assert [len(e) for e in kept] == [19, 25] * 3
+    assert [e.actions[[0, -1], 0].tolist() for e in kept][:2] == [[0, 18], [25, 49]]
+    assert kept.episodes[1].observations["qpos"] == pytest.approx(read.episodes[0].observations["qpos"][25:])
+    assert [len(e) for e in readable(task, model, known, known)] == [50] * 40
+    everywhere = misread(known, lambda qpos, qvel: qpos + 0.5)
+    assert readable(task, model, everywhere, known) is everywhere
+
+
+def test_joints_that_no_state_tells_leave_no_frame_out():
+    task = make_task("half_cheetah")
+    model = task.domain("source").compile()
+    states = np.random.default_rng(0).normal(0, 0.1, (200, 17))
+    qpos, qvel = task.motion(states, 0.02)
+    known = Trajectories((Episode(np.zeros((199, 6)), {"qpos": qpos, "qvel": qvel, "state": states}),), 0.02)
+    far = misread(known, lambda qpos, qvel: qpos + np.eye(9)[0] * 100)
+    assert readable(task, model, far, known).episodes[0].observations["qpos"][0, 0] > 90
+
+
 def test_velocities_are_compared_where_they_are_read_better_than_slopes():
-    good = Calibration(np.array([0.1]), np.array([0.2]), np.array([0.5]))
+    good = Calibration(*(np.array([x]) for x in (0.1, 0.2, 0.5, 0.0, 0.0)))
     assert good.reads_velocities and good.noise.sensors == pytest.approx([0.1, 0.2])
 
 
