@@ -54,9 +54,13 @@ def channels(effects: dict) -> str:
         control = effects["control"].get(name)
         values = (error["noise"], error["before"], error["after"], control and control["before"])
         rows.append(row(name, error["unit"], *("#-" if v is None else f"#{number(v)}" for v in values)))
+    unread = effects.get("unread", {})
+    shares = ", ".join(f"{number(100 * share)} % of the {of}'s" for of, share in unread.items())
+    left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
     told = paragraph(
         "Root mean square. The sensor is what estimates states from images; its error is measured on images of the "
-        "source, as G shows them, whose states are known. The last column is what the same search makes of those.",
+        "source, as G shows them, whose states are known. The last column is what the same search makes of those."
+        + left_out,
         "small",
     )
     title = "Channel by channel, and how well the images are read"
