@@ -24,10 +24,11 @@ def residuals(effects: dict) -> str:
     if "before" not in effects:
         return ""
     before, after, excess = (number(effects[k]) for k in ("before", "after", "excess"))
+    then = f", and {after} times with all the effects found" if effects["estimates"] else ""
     return paragraph(
         f"Replaying the target's actions, the source is {before} times the sensor's noise away from what the target's "
-        f"images show (held-out episodes), and {after} times with all the effects found. In the channel that stands "
-        f"out most it is {excess} times as far off as where it replays its own actions."
+        f"images show (held-out episodes){then}. In the channel that stands out most it is {excess} times as far off "
+        "as where it replays its own actions."
     )
 
 
@@ -48,7 +49,7 @@ def channels(effects: dict) -> str:
     """Residuals and the sensor's error, channel by channel, folded away."""
     if not effects.get("target"):
         return ""
-    heads = ("channel", "unit", "#the sensor is off by", "#target, before", "#target, after", "#source replays itself")
+    heads = ("channel", "unit", "#sensor", "#target, before", "#after", "#control")
     rows = []
     for name, error in effects["target"].items():
         control = effects["control"].get(name)
@@ -58,8 +59,8 @@ def channels(effects: dict) -> str:
     shares = ", ".join(f"{number(100 * share)} % of the {of}'s" for of, share in unread.items())
     left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
     told = paragraph(
-        "Root mean square. The sensor is what estimates states from images; its error is measured on images of the "
-        "source, as G shows them, whose states are known. The last column is what the same search makes of those."
+        "Root mean square errors. The sensor is what estimates states from images; its error is measured on images of "
+        "the source, as G shows them, whose states are known. Control: the source replays these, before any effect."
         + left_out,
         "small",
     )
