@@ -2,7 +2,7 @@
 
     python benchmarks/visual_quality.py [--tasks inverted_pendulum walker2d] [--targets easy hard] [--seeds 0 1 2]
 
-Trains ``idapt visual`` with the quick configs' networks on recordings of exploration, half as long as they do. Writes
+Trains ``idapt visual`` with the quick configs' G on recordings of exploration, for a thousand batches. Writes
 ``results/visual_quality.csv``, a row a run, as runs finish (rows that are there are not repeated). Below
 runs/visual_quality/ each run keeps its picture, ``quality.png``. Columns, all on images of states not trained on:
 

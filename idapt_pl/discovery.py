@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from datamodules import Episode, Trajectories
+from datamodules import Trajectories
 from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import Sensor, read_calibrated
+from idapt_pl.sensing import Sensor, cut, read_calibrated
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -58,12 +58,8 @@ class Discovery:
 
 def pieces(data: Trajectories, length: int) -> Trajectories:
     """Episodes cut into pieces of ``length`` control steps; what is left over at an end is dropped."""
-    cut = [
-        Episode(e.actions[i : i + length], {name: x[i : i + length + 1] for name, x in e.observations.items()})
-        for e in data
-        for i in range(0, len(e) - length + 1, length)
-    ]
-    return Trajectories(tuple(cut), data.dt, data.source)
+    parts = (cut(e, i, i + length + 1) for e in data for i in range(0, len(e) - length + 1, length))
+    return Trajectories(tuple(parts), data.dt, data.source)
 
 
 def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tuple[float, float]:

@@ -161,9 +161,8 @@ def readable(task: Task, model: mujoco.MjModel, read: Trajectories, known: Traje
     qpos = np.concatenate(list(motions))
     mean, counts = qpos.mean(0), [model.joint(j).name not in task.unseen for j in model.dof_jntid]
     far = FAMILIAR * difference(model, mean, qpos).std(0)
-    familiar = [
-        (np.abs(difference(model, mean, e.observations["qpos"])) <= far)[:, counts].all(1) for e in read
-    ]  # fmt: skip
+    off = (np.abs(difference(model, mean, e.observations["qpos"])) for e in read)
+    familiar = [(x <= far)[:, counts].all(1) for x in off]
     if np.concatenate(familiar).mean() < 0.5:
         return read
     kept = [cut(e, *run) for e, ok in zip(read, familiar, strict=True) for run in runs(ok)]

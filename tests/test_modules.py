@@ -72,6 +72,11 @@ def test_devices_without_bfloat16_are_known():
     assert not training.computes_bfloat16("meta")
 
 
+def test_a_build_without_onednn_computes_no_bfloat16_on_the_cpu(monkeypatch):
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    assert training.computes_bfloat16("cpu") is False
+
+
 # --- P^S ------------------------------------------------------------------------------------------------
 
 

@@ -248,7 +248,8 @@ def test_exported_g_is_one_file_that_does_what_the_module_does(trained, tmp_path
         pytest.importorskip("onnxruntime")
     path = tmp_path / f"G{suffix}"
     assert main(["visual", "export", f"--run_dir={trained}", f"--out={path}", *["--back"] * back]) == 0
-    assert re.search("differs by at most [01] of 255", capsys.readouterr().out)  # 1: a half, rounded the other way
+    differs = "0" if suffix == ".pt2" else "[01]"  # another engine may round a half the other way
+    assert re.search(f"differs by at most {differs} of 255", capsys.readouterr().out)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     module = VisualTransformation.from_checkpoint(trained / "last.ckpt")
     pixels = torch.randint(0, 256, (1, 1, 28, 44, 3), dtype=torch.uint8)
