@@ -260,11 +260,9 @@ class AsymmetricSAC(ManualModule):
         """Improve the actor on α log π - min Q, then the temperature."""
         _, opt_actor, opt_alpha = self.optimizers()[:3]
         action, log_prob = self.actor(self.features(batch["observation"]))
-        self.critic.requires_grad_(False)
         q = self.critic(batch["state"], action).amin(0)
         loss = (self.log_alpha.exp().detach() * log_prob - q).mean()
         self.descend(opt_actor, loss)
-        self.critic.requires_grad_(True)
         if self.hparams.learn_temperature:
             target = self.hparams.target_entropy
             target = -float(action.shape[-1]) if target is None else target

@@ -21,9 +21,10 @@ class ManualModule(L.LightningModule):
         self.automatic_optimization = False
 
     def descend(self, optimizer: torch.optim.Optimizer, loss: Tensor, clip: float | None = None) -> None:
-        """Zero gradients, backpropagate, clip the norm if asked to, step."""
+        """Zero gradients, backpropagate to the optimizer's parameters alone, clip the norm if asked to, step."""
         optimizer.zero_grad(set_to_none=True)
-        self.manual_backward(loss)
+        own = [p for group in optimizer.param_groups for p in group["params"] if p.requires_grad]
+        self.manual_backward(loss, inputs=own)
         if clip is not None:
             self.clip_gradients(optimizer, gradient_clip_val=clip, gradient_clip_algorithm="norm")
         optimizer.step()

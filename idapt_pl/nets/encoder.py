@@ -82,6 +82,7 @@ class PixelEncoder(nn.Module):
         self.head = nn.Sequential(nn.Linear(pooled, features), nn.LayerNorm(features), nn.Tanh())
         self.features = features
         self.apply(orthogonal_init)
+        self.to(memory_format=torch.channels_last)  # strided convolutions of few channels are faster so
 
     def forward(self, images: Float[Tensor, "b c h w"]) -> Float[Tensor, "b f"]:
         """Features of cropped images, -1..1."""

@@ -1,0 +1,23 @@
+"""Freed memory is kept for the next tensor: the C library's allocator, told so."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Names and numbers of glibc's malloc.h."""
+KEPT = 2**30
+"""Bytes: smaller blocks come from the heap, and this much of its free end stays with the process."""
+
+
+def keep_freed_memory() -> bool:
+    """Have glibc keep what is freed rather than give it back to the system. Returns whether it could be told.
+
+    Tensors of megabytes are otherwise mapped anew each time, and the system clears every page of them first: a
+    fifth of a training step of the state predictors on a CPU (``benchmarks/state_predictor.py``).
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have none
+    return mallopt is not None and all(mallopt(option, KEPT) for option in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD))
