@@ -64,7 +64,7 @@ HARD, TRANSLATED = "hard", "source through G"
 KEY = ("config", "looks", "case", "seed")
 FIELDS = (
     *KEY, "found", "disbelieved", "right", "estimate", "low", "high", "truth", "covered",
-    "before", "after", "excess", "explained", "target_interactions", "seconds", "commit",
+    "before", "after", "excess", "explained", "removed_in_control", "target_interactions", "seconds", "commit",
 )  # fmt: skip
 
 
@@ -109,6 +109,7 @@ def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
     labels = [[f"{e['effect']}({e['target']})" for e in result[k]] for k in ("effects", "disbelieved")]
     row = {"found": " + ".join(labels[0]), "disbelieved": " + ".join(labels[1])}
     row |= {k: round(result[k], 3) for k in ("before", "after", "excess", "explained")}
+    row |= {"removed_in_control": round(result["removed"]["control"], 3)}
     if not hidden:
         return row | {"right": int(not labels[0])}
     truth = hidden[0]

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, beyond_the_control, discover, shown_by
+from idapt_pl.discovery import Discovery, believable, beyond_the_control, discover, removed, shown_by
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.sensing import Calibration, Sensor, calibrate, compared, readable
 from idapt_pl.tasks import make_task
@@ -197,3 +197,23 @@ def test_what_is_beyond_the_control_is_measured_where_it_is_most():
     target = {"x": {"before": 1.2, "after": 1.2}, "angle": {"before": 6.0, "after": 3.0}}
     assert beyond_the_control(target, control) == (3.0, 0.75)
     assert beyond_the_control(control, control)[1] == 0
+
+
+@pytest.mark.parametrize(
+    ("excess", "explained", "gone", "made_up_share", "expected"),
+    [
+        (3.1, 0.6, 0.2, 0.0, True),  # much larger than in the control, and half of that goes
+        (2.1, 0.6, 0.2, 0.0, False),
+        (2.1, 0.95, 0.2, 0.0, True),  # larger, and nearly all of that goes
+        (1.2, 0.9, 0.4, 0.0, True),  # calm motions, read better than the control's
+        (1.2, 0.9, 0.4, 0.25, False),  # a search in the control takes as much away
+        (1.2, 0.9, 0.15, 0.0, False),
+    ],
+)
+def test_what_is_believed(excess, explained, gone, made_up_share, expected):
+    assert believable(excess, explained, gone, made_up_share) is expected
+
+
+def test_the_share_of_an_error_that_goes():
+    assert removed({"before": 4.0, "after": 3.0}) == 0.25
+    assert removed({"before": 0.0, "after": 0.0}) == 0.0
