@@ -153,11 +153,8 @@ def discover(
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     gone, made_up_share = (removed(d.report["error"]) for d in (seen, checked))
-    real = {
-        (e["effect"], e["target"])
-        for e in estimates
-        if believable(excess, explained, gone, made_up_share) and not shown_by(e, made_up)
-    }
+    trusted = believable(excess, explained, gone, made_up_share)
+    real = {(e["effect"], e["target"]) for e in estimates if trusted and not shown_by(e, made_up)}
     believed = [e for e in found if (e.name, e.target) in real]
     for e in estimates:
         log.info("effect found from images: %s", e)

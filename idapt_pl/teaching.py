@@ -171,7 +171,8 @@ class Teaching:
 
         def build_expert() -> StateSAC:
             bounds = self.worlds.action_bounds
-            expert = StateSAC(policy.state_dim, **bounds, hidden=policy.hidden, gamma=policy.gamma)
+            same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
+            expert = StateSAC(policy.state_dim, **bounds, **same)
             if known is not None:
                 expert.load_state_dict(known.state_dict())
             return expert

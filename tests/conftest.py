@@ -7,6 +7,7 @@ import warnings
 from pathlib import Path
 
 os.environ["IDAPT_RENDERER"] = "classic"  # fast, and on every machine the same; Filament has tests of its own
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # nets are small here, and there is a test process for each core
 
 import idapt_pl  # isort: skip  # sets the GL backend, and prepares torchvision, before mujoco and Lightning load
 import lightning as L

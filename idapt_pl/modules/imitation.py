@@ -28,13 +28,15 @@ class Imitation(ManualModule):
 
     def training_step(self, batch: dict[str, dict[str, Tensor]], index: int) -> None:
         """One environment step's updates: ``transitions`` and ``images`` are (updates, minibatch, ...)."""
-        metrics: dict[str, Tensor | float] = {"imitation/teacher_share": self.trainer.datamodule.act.share}
+        metrics: dict[str, Tensor | float] = {}
         for minibatch in unstack(batch["transitions"]):
             metrics |= self.actor_step(minibatch)
         for minibatch in unstack(batch.get("images", {})):
             metrics |= self.estimator_step(minibatch)
         self.lr_schedulers().step()
-        self.log_at(index, metrics | self.trainer.datamodule.progress())
+        if (index + 1) % self.trainer.log_every_n_steps == 0:  # what nobody writes down costs time
+            share = {"imitation/teacher_share": self.trainer.datamodule.act.share}
+            self.log_at(index, metrics | share | self.trainer.datamodule.progress())
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Descend on E|tanh μ - label|² + w E(log σ - log σ_teacher)²."""
