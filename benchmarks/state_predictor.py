@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
 import statistics
 import subprocess
 import sys
 import time
-import types
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -28,10 +28,8 @@ BATCH, WARM_UP, STEPS = 32, 4, 15
 KEY = ("config", "allocator", "layout")
 
 
-def measure(config: str, allocator: str, layout: str) -> float:
+def measure(config: str, layout: str) -> float:
     """Median time of a training step, s, in this process."""
-    if allocator == "as it comes":
-        sys.modules["idapt_pl.memory"] = types.SimpleNamespace(keep_freed_memory=lambda: False)
     import idapt_pl  # noqa: F401, I001  tells the allocator
     import mujoco
     import torch
@@ -64,7 +62,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rounds", type=int, default=5)
     p.add_argument("--configs", nargs="+", default=CONFIGS, help="names of files in configs/, without .yaml")
-    p.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    p.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     o = p.parse_args()
     if o.one:
         print(json.dumps(measure(*o.one)))
@@ -75,8 +73,10 @@ def main() -> None:
         cases = list(itertools.product(ALLOCATORS, LAYOUTS))
         times: dict[tuple[str, str], list[float]] = {case: [] for case in cases}
         for _, case in itertools.product(range(o.rounds), cases):
-            command = [sys.executable, __file__, "--one", config, *case]
-            times[case].append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+            keep = {"IDAPT_KEEP_MEMORY": str(ALLOCATORS.index(case[0]))}
+            command = [sys.executable, __file__, "--one", config, case[1]]
+            done = subprocess.run(command, env=os.environ | keep, check=True, stdout=subprocess.PIPE, text=True)
+            times[case].append(json.loads(done.stdout))
         medians = {case: statistics.median(t) for case, t in times.items()}
         rows = [
             {"config": config, "allocator": case[0], "layout": case[1], "step_ms": round(1e3 * t, 1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
@@ -15,9 +16,10 @@ def keep_freed_memory() -> bool:
     """Have glibc keep what is freed rather than give it back to the system. Returns whether it could be told.
 
     Tensors of megabytes are otherwise mapped anew each time, and the system clears every page of them first: a
-    fifth of a training step of the state predictors on a CPU (``benchmarks/state_predictor.py``).
+    fifth of a training step of the state predictors on a CPU (``benchmarks/state_predictor.py``). Where memory is
+    scarce, the environment variable ``IDAPT_KEEP_MEMORY=0`` leaves the allocator as it is.
     """
-    if not sys.platform.startswith("linux"):
+    if not sys.platform.startswith("linux") or os.environ.get("IDAPT_KEEP_MEMORY") == "0":
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have none
     return mallopt is not None and all(mallopt(option, KEPT) for option in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD))
