@@ -167,7 +167,7 @@ def discover(
         "explained": explained,
         "removed": {"target": gone, "control": made_up_share},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
-        "sensor": {name: np.round(errors, 5).tolist() for name, errors in vars(calibration).items()},
+        "sensor": calibration.to_dict(model, task.unseen),
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],
         "target": errors[0],

@@ -87,6 +87,16 @@ class Calibration:
             return Noise(both, both)
         return Noise(self.position, np.concatenate([self.position, self.slope]))
 
+    def to_dict(self, model: mujoco.MjModel, unseen: Sequence[str]) -> dict[str, list[float | None]]:
+        """For JSON: its arrays, with None where a position is meant of a joint whose position no state tells."""
+        hidden = {int(model.joint(name).dofadr[0]) for name in unseen}
+
+        def told(name: str, errors: np.ndarray) -> list[float | None]:
+            blank = hidden if name in ("position", "bias", "lag") else ()
+            return [None if i in blank else round(float(e), 5) for i, e in enumerate(errors)]
+
+        return {name: told(name, errors) for name, errors in vars(self).items()}
+
 
 def compared(read: Trajectories, calibration: Calibration) -> Trajectories:
     """What is compared of what a sensor read: positions, and velocities where they are better than slopes."""

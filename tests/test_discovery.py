@@ -187,6 +187,15 @@ def test_joints_that_no_state_tells_leave_no_frame_out():
     assert readable(task, model, far, known).episodes[0].observations["qpos"][0, 0] > 90
 
 
+def test_no_error_is_told_of_a_position_that_no_state_tells():
+    task = make_task("half_cheetah")
+    errors = Calibration(*(np.full(9, x) for x in (0.1, 0.2, 0.3, 0.4, 0.5))).to_dict(
+        task.domain("source").compile(), task.unseen
+    )
+    assert errors["position"] == [None, *[0.1] * 8] and errors["lag"][0] is None and errors["bias"][0] is None
+    assert errors["velocity"] == [0.2] * 9
+
+
 def test_velocities_are_compared_where_they_are_read_better_than_slopes():
     good = Calibration(*(np.array([x]) for x in (0.1, 0.2, 0.5, 0.0, 0.0)))
     assert good.reads_velocities and good.noise.sensors == pytest.approx([0.1, 0.2])
