@@ -143,3 +143,14 @@ def test_patch_discriminator_judges_patches():
     D.body[0](image)[0, 0, 0, 0].backward()  # the first layer of the corner sees the corner alone
     seen = np.argwhere(image.grad[0].abs().sum(0).numpy() > 0)
     assert seen.max() < 4
+
+
+@pytest.mark.parametrize(("layers", "side"), [(1, 16), (2, 34), (3, 70)])
+def test_patches_have_the_size_that_pix2pix_says(layers, side):
+    D = PatchDiscriminator(3, 4, layers)
+    D.body = torch.nn.Sequential(*(m for m in D.body if not isinstance(m, torch.nn.InstanceNorm2d)))  # sees all
+    image = torch.rand(1, 3, 128, 128, requires_grad=True)
+    logits = D(image)
+    logits[0, 0, logits.shape[2] // 2, logits.shape[3] // 2].backward()
+    seen = np.argwhere(image.grad[0].abs().sum(0).numpy() > 0)
+    assert (np.ptp(seen, axis=0) + 1).tolist() == [side, side]

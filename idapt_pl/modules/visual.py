@@ -46,6 +46,7 @@ class VisualTransformation(ManualModule):
         width: channels of the generators' first layer (ngf).
         blocks: residual blocks of the generators.
         discriminator_width: channels of the discriminators' first layer (ndf).
+        discriminator_layers: their layers of stride 2 (n_layers_D); 3 judge patches of 70 pixels, 2 of 34, 1 of 16.
         gan_loss: ``lsgan`` (CycleGAN) or ``bce`` (the authors' code: smoothed labels on the mean logit).
         pool_size: history of fakes for the discriminators; 0 for none.
         cycle_weight: of the cycle-consistency loss, on images in -1..1.
@@ -84,6 +85,7 @@ class VisualTransformation(ManualModule):
         width: int = 64,
         blocks: int = 9,
         discriminator_width: int = 64,
+        discriminator_layers: int = 3,
         gan_loss: Literal["lsgan", "bce"] = "lsgan",
         pool_size: int = 50,
         cycle_weight: float = 10.0,
@@ -118,8 +120,9 @@ class VisualTransformation(ManualModule):
         self.one_sided = contrastive_weight > 0 and cycle_weight == 0
         self.G = ResnetGenerator(channels, width, blocks)  # source to target
         self.G_back = None if self.one_sided else ResnetGenerator(channels, width, blocks)  # target to source
-        self.D_T = PatchDiscriminator(channels, discriminator_width)
-        self.D_S = None if self.one_sided else PatchDiscriminator(channels, discriminator_width)
+        patches = (channels, discriminator_width, discriminator_layers)
+        self.D_T = PatchDiscriminator(*patches)
+        self.D_S = None if self.one_sided else PatchDiscriminator(*patches)
         self.P_T = None
         if state_dim:
             self.P_T = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
