@@ -1,13 +1,14 @@
 """Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
 
-    python benchmarks/quick.py --seeds 0 1 2 3 4   # makes the runs whose G and estimator are the sensor
     python benchmarks/discovery.py --seeds 0 1 2 3 4
-    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --steps 4000 --runs runs/curves_cheetah_quick_4000
+    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --steps 4000
+    python benchmarks/discovery.py --seeds 0 --runs runs/inverted_pendulum_hard   # the sensor of `make demo`
 
-Targets look like the task's hard domain and move like its source but for what is hidden. The sensor, the policy's
-encoder, is that of a finished run (trained against the hard domain itself), so other cases than that domain's own
-effect use it on motions that it was not trained on. ``--looks "source through G"`` shows the sensor what it was fitted
-to instead: images of the source, as G translates them. Writes results/discovery.csv.
+Targets look like the task's hard domain and move like its source but for what is hidden. The sensor is the estimator
+that a quick run has when it first looks for effects; a run is made up to there for each seed, or that of ``--runs`` is
+used. It was trained against the hard domain itself, so other cases than that domain's own effect use it on motions that
+it was not trained on. ``--looks "source through G"`` shows the sensor what it was fitted to instead: images of the
+source, as G translates them. Writes results/discovery.csv.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
+import quick
 from tables import replace_rows
 
 from cli.provenance import git_commit
@@ -60,6 +62,10 @@ CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
         "torso 5.4 kg": (BodyMass("torso", 5.4),),
     },
 }
+NO_MORE_THAN_THE_SENSOR = (
+    "--effects.discover", "false", "--schedule.grounding_steps", "0", "--schedule.source_policy", "0",
+    "--schedule.pretrain.policy", "0", "--teacher.steps", "0", "--teacher.dagger", "0",
+)  # fmt: skip
 HARD, TRANSLATED = "hard", "source through G"
 KEY = ("config", "looks", "case", "seed")
 FIELDS = (
@@ -98,6 +104,11 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
+def sensor_run(config: str, seed: int) -> Path:
+    """The folder of a quick run that ends where effects would first be looked for."""
+    return quick.run(ROOT / f"configs/{config}.yaml", seed, list(NO_MORE_THAN_THE_SENSOR), f"sensor_{config}")
+
+
 def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
     """Images, states and actions of random motions."""
     with closing(VectorImageEnv(worlds.task, domain, 1, worlds.image_size, worlds.frame_stack, worlds.view)) as env:
@@ -129,17 +140,15 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--config", default="pendulum_quick", help="of the runs whose sensors are used")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    p.add_argument(
-        "--cases", nargs="+", choices=[c for of in CASES.values() for c in of], help="default all of the task"
-    )
+    known = list(dict.fromkeys(c for of in CASES.values() for c in of))
+    p.add_argument("--cases", nargs="+", choices=known, metavar="CASE", help=f"default all of the task; of {known}")
     p.add_argument("--looks", choices=(HARD, TRANSLATED), default=HARD, help="what the sensor sees")
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
-    p.add_argument("--runs", default=None, help="folders of the runs, less _<seed>; default as benchmarks/quick.py")
+    p.add_argument("--runs", help="folders of runs, less _<seed>; default: made as far as needed, runs/sensor_<config>")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
     o = p.parse_args()
-    runs = o.runs or ROOT / f"runs/benchmark_{o.config}_IDAPT"
     for seed in o.seeds:
-        folder = Path(f"{runs}_{seed}")
+        folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, seed)
         cases = CASES[open_run(folder).worlds.task.name]
         for name in o.cases or cases:
             about = {"config": o.config, "looks": o.looks, "case": name, "seed": seed}
