@@ -2,6 +2,7 @@
 #
 # With a GPU nothing changes: pip installs its default torch, which on Linux is the CUDA build.
 # Another interpreter: make setup PYTHON=python3.12.  More options: make demo ARGS="--seed 1".
+# Tests in one process, for a debugger: make test ARGS="-n 0".
 
 PYTHON ?= python3
 ARGS ?=
