@@ -1,14 +1,14 @@
 """Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
 
     python benchmarks/discovery.py --seeds 0 1 2 3 4
-    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --steps 4000
+    python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000
     python benchmarks/discovery.py --seeds 0 --runs runs/inverted_pendulum_hard   # the sensor of `make demo`
 
-Targets look like the task's hard domain and move like its source but for what is hidden. The sensor is the estimator
-that a quick run has when it first looks for effects; a run is made up to there for each seed, or that of ``--runs`` is
-used. It was trained against the hard domain itself, so other cases than that domain's own effect use it on motions that
-it was not trained on. ``--looks "source through G"`` shows the sensor what it was fitted to instead: images of the
-source, as G translates them. Writes results/discovery.csv.
+Targets look like the task's hard (or easy) domain and move like its source but for what is hidden. The sensor is the
+estimator that a quick run has when it first looks for effects; a run is made up to there for each seed, or that of
+``--runs`` is used. It was trained against that domain itself, so other cases than that domain's own effect use it on
+motions that it was not trained on. ``--looks "source through G"`` shows the sensor what it was fitted to instead:
+images of the source, as G translates them. Writes results/discovery.csv.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ NO_MORE_THAN_THE_SENSOR = (
     "--effects.discover", "false", "--schedule.grounding_steps", "0", "--schedule.source_policy", "0",
     "--schedule.pretrain.policy", "0", "--teacher.steps", "0", "--teacher.dagger", "0",
 )  # fmt: skip
-HARD, TRANSLATED = "hard", "source through G"
+TARGET, TRANSLATED = "target", "source through G"
 KEY = ("config", "looks", "case", "seed")
 FIELDS = (
     *KEY, "found", "disbelieved", "right", "estimate", "low", "high", "truth", "covered",
@@ -91,22 +91,23 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     grounding = open_run(folder)
     worlds, G = grounding.worlds, load_visual(grounding)
     sensor = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
-    source, hard = worlds.task.domain("source"), worlds.task.domain("hard")
-    painted = tuple(e for e in hard.effects[len(source.effects) :] if type(e).__module__ == looks.__name__)
-    target = Domain("hidden", source.base, (*source.effects, *(painted if look == HARD else ()), *hidden))
+    plain, source, seen = worlds.task.domain("source"), worlds.source_domain, worlds.target_domain
+    painted = tuple(e for e in seen.effects[len(plain.effects) :] if type(e).__module__ == looks.__name__)
+    target = Domain("hidden", plain.base, (*plain.effects, *(() if look == TRANSLATED else painted), *hidden))
     path, control = (folder / "hidden" / f"{n}.h5".replace(" ", "_") for n in (f"{name} {look}", "control"))
     record(worlds, target, path, steps, seed + 100)
     if not control.exists():
         record(worlds, source, control, steps, seed + 200)
     started = time.perf_counter()
-    reads = sensor if look == HARD else Translated(sensor, G)
+    reads = Translated(sensor, G) if look == TRANSLATED else sensor
     result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
-def sensor_run(config: str, seed: int) -> Path:
+def sensor_run(config: str, target: str, seed: int) -> Path:
     """The folder of a quick run that ends where effects would first be looked for."""
-    return quick.run(ROOT / f"configs/{config}.yaml", seed, list(NO_MORE_THAN_THE_SENSOR), f"sensor_{config}")
+    name = f"sensor_{config}" + ("" if target == "hard" else f"_{target}")
+    return quick.run(ROOT / f"configs/{config}.yaml", seed, ["--target", target, *NO_MORE_THAN_THE_SENSOR], name)
 
 
 def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
@@ -142,17 +143,19 @@ def main() -> None:
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     known = list(dict.fromkeys(c for of in CASES.values() for c in of))
     p.add_argument("--cases", nargs="+", choices=known, metavar="CASE", help=f"default all of the task; of {known}")
-    p.add_argument("--looks", choices=(HARD, TRANSLATED), default=HARD, help="what the sensor sees")
+    p.add_argument("--target", choices=("easy", "hard"), default="hard", help="what targets look like")
+    p.add_argument("--looks", choices=(TARGET, TRANSLATED), default=TARGET, help="what the sensor sees")
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
     p.add_argument("--runs", help="folders of runs, less _<seed>; default: made as far as needed, runs/sensor_<config>")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
     o = p.parse_args()
     for seed in o.seeds:
-        folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, seed)
+        folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, o.target, seed)
         cases = CASES[open_run(folder).worlds.task.name]
         for name in o.cases or cases:
-            about = {"config": o.config, "looks": o.looks, "case": name, "seed": seed}
-            row = about | run(name, cases[name], o.looks, seed, o.steps, folder) | {"commit": git_commit()}
+            look = o.looks if o.looks == TRANSLATED else open_run(folder).worlds.target_domain.name
+            about = {"config": o.config, "looks": look, "case": name, "seed": seed}
+            row = about | run(name, cases[name], look, seed, o.steps, folder) | {"commit": git_commit()}
             print({k: v for k, v in row.items() if v != ""}, flush=True)
             replace_rows(o.out, [row], KEY, FIELDS)
 

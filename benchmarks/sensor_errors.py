@@ -34,9 +34,9 @@ FAR = 6.0
 
 def errors(sensor: Sensor, model: mujoco.MjModel, path: Path, G) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is read less what is, positions and velocities, (n, nv) each."""
-    parts = []
-    for truth, read in zip(read_all([path], also="state"), sensor.read([path], G), strict=True):
-        qpos, qvel = sensor.task.motion(np.asarray(truth.observations["state"], float), 1.0)
+    readings, parts = sensor.read([path], G), []
+    for truth, read in zip(read_all([path], also="state"), readings, strict=True):
+        qpos, qvel = sensor.task.motion(np.asarray(truth.observations["state"], float), readings.dt)
         parts.append((difference(model, qpos, read.observations["qpos"]), qpos, qvel))
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
@@ -70,7 +70,8 @@ def main() -> None:
         for name in o.recordings:
             found = errors(sensor, model, folder / "hidden" / f"{name}.h5", G if name == "control" else None)
             about = {"config": o.config, "seed": seed, "recording": name}
-            rows = [about | {"joint": model.joint(i).name} | split(*(x[:, i] for x in found)) for i in range(model.nv)]
+            joints = [(i, model.joint(i).name) for i in range(model.nv) if model.joint(i).name not in task.unseen]
+            rows = [about | {"joint": joint} | split(*(x[:, i] for x in found)) for i, joint in joints]
             print(*rows, sep="\n", flush=True)
             replace_rows(o.out, rows, KEY)
 

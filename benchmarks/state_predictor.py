@@ -1,4 +1,4 @@
-"""How long does a state predictor train on a batch, by memory allocator and memory layout? No GPU takes part.
+"""How long does a state predictor train on a batch, by memory allocator and memory layout? On one CPU thread.
 
     python benchmarks/state_predictor.py [--rounds 5]
 
@@ -39,6 +39,7 @@ def measure(config: str, layout: str) -> float:
     from idapt_pl.nets.images import stack_channels
     from idapt_pl.tasks import make_task
 
+    torch.set_num_threads(1)
     settings = yaml.safe_load((ROOT / f"configs/{config}.yaml").read_text())
     task, size = make_task(settings["task"]), settings.get("image_size", 100)
     vision = Vision(**settings.get("vision", {}))

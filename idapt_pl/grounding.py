@@ -48,6 +48,8 @@ class Schedule:
     Args:
         grounding_steps: N.
         images: control steps in each of the task-agnostic datasets.
+        source_images: control steps in the source's, where they are to be more: labelled images of the source cost no
+            target interaction, and P^S and the policy's encoder overfit few. None for as many as ``images``.
         exploration: the policy that collects them, ``random`` (uniform actions) or ``babble`` (slower and
             at several strengths).
         interactions: control steps taken in the target in each grounding step.
@@ -64,6 +66,7 @@ class Schedule:
 
     grounding_steps: int = 5
     images: int = 20_000
+    source_images: int | None = None
     exploration: Literal["random", "babble"] = "random"
     interactions: int = 1000
     source_policy: int = 10_000
@@ -129,7 +132,7 @@ class IterativeGrounding:
 
     def explore_source(self) -> Path:
         """D^S: task-agnostic images and states of the source, from random actions."""
-        return self._record_source(0, self.explore, None, None, self.schedule.images)
+        return self._record_source(0, self.explore, None, None, self.schedule.source_images or self.schedule.images)
 
     def explore_target(self) -> Path:
         """D^T: task-agnostic images of the target, from random actions."""

@@ -1,5 +1,7 @@
 """Diagnosis: what was planted is found, nothing where nothing is, and what no effect explains is called that."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from idapt_pl.diagnosis.statistics import (
 )
 from idapt_pl.diagnosis.verdict import alike
 from idapt_pl.domains.effects import JointDamping
-from idapt_pl.domains.paths import ActuatorDelay
+from idapt_pl.domains.paths import ActuatorDelay, SensorGain
 
 ARM = """
 <mujoco>
@@ -198,6 +200,26 @@ def test_no_sensor_is_taken_to_be_much_better_than_others_of_its_kind():
     model = mujoco.MjModel.from_xml_string(ARM)
     sigma = likened(model, np.array([1e-3, 1e-9, 1e-2, 2e-2]))
     assert sigma == pytest.approx([1e-3, 2.5e-4, 1e-2, 2e-2]), "half the median of the kind"
+
+
+def test_intervals_allow_for_a_sensor_whose_gain_is_not_known():
+    """All of the elbow's readings 6 % too large: the estimate is off, by what the interval allows for and no more."""
+    data = record(ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.06"'))
+    factor = np.array([1.0, 1.06])
+    episodes = (replace(e, observations={k: v * factor for k, v in e.observations.items()}) for e in data)
+    stretched = replace(data, episodes=tuple(episodes))
+    both = np.repeat([NOISE_Q, NOISE_V], 2)
+
+    def damping(recording, *systematic):
+        how = {"noise": Noise(both, both, systematic), "candidates": ["joint_damping"]}
+        return found(recording, **how)[1]["joint_damping", "elbow"]["parameters"]["damping"]
+
+    truth, off, allowed = damping(data), damping(stretched), damping(stretched, SensorGain("elbow", 1.06))
+    assert off["ci95"][1] < 0.06 or off["ci95"][0] > 0.06, "what the sensor's noise alone allows misses"
+    assert off["estimate"] == allowed["estimate"], "nothing but the interval is another"
+    assert allowed["ci95"][0] < 0.06 < allowed["ci95"][1]
+    narrow, wide = (np.diff(p["ci95"])[0] / 2 for p in (off, allowed))
+    assert np.sqrt(wide**2 - narrow**2) / 1.96 == pytest.approx(abs(off["estimate"] - truth["estimate"]), rel=0.25)
 
 
 def test_noise_is_not_mistaken_for_a_missing_effect():

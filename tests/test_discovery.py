@@ -10,7 +10,8 @@ import torch
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from idapt_pl.discovery import Discovery, believable, beyond_the_control, discover, removed, shown_by
 from idapt_pl.domains.effects import BodyMass, JointDamping
-from idapt_pl.sensing import Calibration, Sensor, calibrate, compared, readable
+from idapt_pl.domains.paths import SensorGain
+from idapt_pl.sensing import GAIN, Calibration, Sensor, calibrate, compared, readable
 from idapt_pl.tasks import make_task
 
 LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
@@ -131,7 +132,7 @@ def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
     speeds = np.concatenate([e.observations["state"][:, 2:] for e in states])
     assert found.velocity == pytest.approx(np.sqrt(np.mean(speeds**2, 0)), rel=1e-6)
     assert not found.reads_velocities and set(compared(read, found).episodes[0].observations) == {"qpos"}
-    assert found.noise.start == pytest.approx(np.concatenate([found.position, found.slope]))
+    assert found.noise(model, ()).start == pytest.approx(np.concatenate([found.position, found.slope]))
 
 
 def swings(n=40, T=50, seed=0):
@@ -189,16 +190,21 @@ def test_joints_that_no_state_tells_leave_no_frame_out():
 
 def test_no_error_is_told_of_a_position_that_no_state_tells():
     task = make_task("half_cheetah")
-    errors = Calibration(*(np.full(9, x) for x in (0.1, 0.2, 0.3, 0.4, 0.5))).to_dict(
+    errors = Calibration(*(np.full(9, x) for x in (0.1, 0.2, 0.3, 9.0, 0.4, 0.5))).to_dict(
         task.domain("source").compile(), task.unseen
     )
     assert errors["position"] == [None, *[0.1] * 8] and errors["lag"][0] is None and errors["bias"][0] is None
     assert errors["velocity"] == [0.2] * 9
 
 
-def test_velocities_are_compared_where_they_are_read_better_than_slopes():
-    good = Calibration(*(np.array([x]) for x in (0.1, 0.2, 0.5, 0.0, 0.0)))
-    assert good.reads_velocities and good.noise.sensors == pytest.approx([0.1, 0.2])
+def test_velocities_are_compared_where_they_are_read_well():
+    """Nearer to the truth than slopes, and not mostly what is likely in the source."""
+    model = make_task("inverted_pendulum").domain("source").compile()
+    good, vague = (Calibration(*(np.full(2, x) for x in (0.1, 0.2, 0.5, s, 0.0, 0.0))) for s in (1.0, 0.5))
+    assert not vague.reads_velocities and vague.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
+    assert vague.noise(model, ()).start == pytest.approx([0.1, 0.1, 0.5, 0.5])
+    assert good.reads_velocities and good.noise(model, ()).sensors == pytest.approx([0.1, 0.1, 0.2, 0.2])
+    assert good.noise(model, ["slider"]).systematic == (SensorGain("hinge", 1 + GAIN),)
 
 
 def test_what_is_beyond_the_control_is_measured_where_it_is_most():

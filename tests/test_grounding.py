@@ -161,6 +161,12 @@ def test_target_interactions_are_those_of_the_files_and_of_the_schedule(finished
     assert in_files == expected == sum(training) == ledger["training_total"] == summary["target_interactions"]
 
 
+def test_exploration_of_the_source_may_be_longer(finished_run):
+    """Its labelled images cost no target interaction."""
+    with h5py.File(finished_run / "step_00/source.h5") as f:
+        assert f.attrs["total_steps"] == TINY["schedule.source_images"] > TINY["schedule.images"]
+
+
 def test_target_files_hold_images_and_actions_only_and_source_files_states_too(finished_run):
     for k in range(STEPS + 1):
         for name, observations in (("target", {"pixels"}), ("source", {"pixels", "state"})):

@@ -234,6 +234,11 @@ class Search:
         fixed = self.fixed if fixed is None else fixed
         return gauss_newton(lambda e: self.z(split, e), fixed, candidates, x, iterations)
 
+    def systematic(self) -> list[np.ndarray]:
+        """What each systematic error of the sensors would change in the residuals fitted to, (n, rows) each."""
+        now = self.z(self.fit, self.effects)
+        return [self.z(self.fit, (*self.effects, error)) - now for error in self.noise.systematic]
+
     def settle(self) -> None:
         """Fit what was accepted, all together."""
         if self.found:

@@ -32,10 +32,15 @@ PULL = 0.2
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations: of every compared channel, and of the first state of a window (2 nv,)."""
+    """Standard deviations: of every compared channel, and of the first state of a window (2 nv,).
+
+    ``systematic`` are errors that are the same in all recordings, each as an effect of one standard deviation.
+    Intervals of estimates allow for them; they are not looked for.
+    """
 
     sensors: np.ndarray
     start: np.ndarray
+    systematic: Effects = ()
 
 
 @dataclass(frozen=True)
@@ -339,12 +344,28 @@ def step_to(
     return np.clip(v + np.clip(move, -20, 20) * scale, low, high)
 
 
+def influence(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """How x / scale moves with whitened residuals, but for the sign: (JᵀWJ)⁻¹, (p, p), and W J, (n rows, p)."""
+    weight = 1.0 / np.maximum(1.0, np.abs(fit.z.ravel()) / HUBER)
+    return np.linalg.pinv(fit.J.T @ (weight[:, None] * fit.J)), weight[:, None] * fit.J
+
+
+def considered(fit: Fit, changes: Sequence[np.ndarray]) -> np.ndarray:
+    """Variance of x / scale, (p,), by things that are not known and not fitted (Schmidt's consider parameters).
+
+    Args:
+        fit: made as if they were as assumed.
+        changes: of the whitened residuals, (n, rows) each, by a standard deviation of each.
+    """
+    bread, weighted = influence(fit)
+    return sum((np.square(bread @ (weighted.T @ c.ravel())) for c in changes), np.zeros(len(bread)))
+
+
 def covariance(fit: Fit, clusters: np.ndarray) -> np.ndarray:
     """Sandwich covariance of x / scale, clustered (episodes): robust to what the noise model gets wrong."""
     rows = fit.z.shape[1]
-    weight = 1.0 / np.maximum(1.0, np.abs(fit.z.ravel()) / HUBER)
-    bread = np.linalg.pinv(fit.J.T @ (weight[:, None] * fit.J))
-    scores = (fit.J * (weight * fit.z.ravel())[:, None]).reshape(len(fit.z), rows, -1).sum(1)
+    bread, weighted = influence(fit)
+    scores = (weighted * fit.z.ravel()[:, None]).reshape(len(fit.z), rows, -1).sum(1)
     names = np.unique(clusters)
     g = np.stack([scores[clusters == c].sum(0) for c in names])
     correction = len(names) / max(len(names) - 1, 1)

@@ -216,6 +216,7 @@ class VisualTransformation(ManualModule):
     def training_step(self, batch: dict, index: int) -> None:
         opt_g, opt_d = self.optimizers()
         real_S, real_T = self.adversarial_input(batch["source"]), self.adversarial_input(batch["target"])
+        # Toggled: networks that only judge keep no activations for gradients of their own weights.
         with self.toggled_optimizer(opt_g), fast_precision(self.device, self.hparams.bf16):
             fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"], self.resets(batch))
             self.descend(opt_g, sum(parts.values()))
