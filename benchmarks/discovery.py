@@ -2,6 +2,8 @@
 
     python benchmarks/discovery.py --seeds 0 1 2 3 4
     python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000
+    python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000 \\
+        --settings long --schedule.source_images 16000 --schedule.pretrain.estimator 4000
     python benchmarks/discovery.py --seeds 0 --runs runs/inverted_pendulum_hard   # the sensor of `make demo`
 
 Targets look like the task's hard (or easy) domain and move like its source but for what is hidden. The sensor is the
@@ -104,10 +106,11 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
-def sensor_run(config: str, target: str, seed: int) -> Path:
+def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequence[str]) -> Path:
     """The folder of a quick run that ends where effects would first be looked for."""
-    name = f"sensor_{config}" + ("" if target == "hard" else f"_{target}")
-    return quick.run(ROOT / f"configs/{config}.yaml", seed, ["--target", target, *NO_MORE_THAN_THE_SENSOR], name)
+    name = "_".join(filter(None, ("sensor", config, "" if target == "hard" else target, settings)))
+    extra = ["--target", target, *NO_MORE_THAN_THE_SENSOR, *extra]
+    return quick.run(ROOT / f"configs/{config}.yaml", seed, extra, name)
 
 
 def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
@@ -148,13 +151,17 @@ def main() -> None:
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
     p.add_argument("--runs", help="folders of runs, less _<seed>; default: made as far as needed, runs/sensor_<config>")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
-    o = p.parse_args()
+    p.add_argument("--settings", default="", help="name in the table, for a sensor made with other settings of `idapt fit`")
+    o, extra = p.parse_known_args()
+    if extra and not o.settings:
+        p.error(f"settings of `idapt fit` need a name in the table: give --settings NAME with {' '.join(extra)}")
+    config = " ".join(filter(None, (o.config, o.settings)))
     for seed in o.seeds:
-        folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, o.target, seed)
+        folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, o.target, seed, o.settings, extra)
         cases = CASES[open_run(folder).worlds.task.name]
         for name in o.cases or cases:
             look = o.looks if o.looks == TRANSLATED else open_run(folder).worlds.target_domain.name
-            about = {"config": o.config, "looks": look, "case": name, "seed": seed}
+            about = {"config": config, "looks": look, "case": name, "seed": seed}
             row = about | run(name, cases[name], look, seed, o.steps, folder) | {"commit": git_commit()}
             print({k: v for k, v in row.items() if v != ""}, flush=True)
             replace_rows(o.out, [row], KEY, FIELDS)
