@@ -1,8 +1,8 @@
-"""Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
+r"""Are hidden effects named from images alone, and nothing where nothing is hidden? One row a case and seed.
 
     python benchmarks/discovery.py --seeds 0 1 2 3 4
     python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000
-    python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000 \\
+    python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000 \
         --settings long --schedule.source_images 16000 --schedule.pretrain.estimator 4000
     python benchmarks/discovery.py --seeds 0 --runs runs/inverted_pendulum_hard   # the sensor of `make demo`
 

@@ -30,6 +30,9 @@ from idapt_pl.sensing import Sensor
 
 KEY = ("config", "seed", "recording", "joint")
 FAR = 6.0
+RECORDINGS = (
+    "control", "nothing_hard", "pole_200_kg_hard", "pole_50_kg_hard", "hinge_damping_hard", "action_delay_hard",
+)  # fmt: skip
 
 
 def errors(sensor: Sensor, model: mujoco.MjModel, path: Path, G) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,7 +62,7 @@ def main() -> None:
     p.add_argument("--config", default="pendulum_quick")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--runs", help="folders of runs, less _<seed>; default runs/sensor_<config>")
-    p.add_argument("--recordings", nargs="+", default=["control", "nothing_hard", "hinge_damping_hard"])
+    p.add_argument("--recordings", nargs="+", default=RECORDINGS)
     p.add_argument("--out", type=Path, default=ROOT / "results/sensor_errors.csv")
     o = p.parse_args()
     for seed in o.seeds:

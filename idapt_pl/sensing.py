@@ -23,7 +23,9 @@ from idapt_pl.tasks import Task
 GAIN = 0.05
 """Standard deviation of what is read of a joint's motion over what it is, on target images.
 
-On the control it is measured, and comes out as one. What G does to the geometry no control shows."""
+On the control it is measured, and comes out as one. What G does to the geometry no control shows: 25 recordings of the
+pendulum's target by five sensors were 0.05 off at the hinge and 0.02 at the slider, root mean square
+(``results/sensor_errors.csv``). The larger is taken for every joint."""
 ONE_NUMBER = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
 """Kinds of joints that one number places."""
 VAGUE = 1 / 3
