@@ -151,7 +151,9 @@ def main() -> None:
     p.add_argument("--steps", type=int, default=5000, help="control steps taken in the target")
     p.add_argument("--runs", help="folders of runs, less _<seed>; default: made as far as needed, runs/sensor_<config>")
     p.add_argument("--out", type=Path, default=ROOT / "results/discovery.csv")
-    p.add_argument("--settings", default="", help="name in the table, for a sensor made with other settings of `idapt fit`")
+    p.add_argument(
+        "--settings", default="", help="name in the table, for a sensor made with other settings of `idapt fit`"
+    )
     o, extra = p.parse_known_args()
     if extra and not o.settings:
         p.error(f"settings of `idapt fit` need a name in the table: give --settings NAME with {' '.join(extra)}")
