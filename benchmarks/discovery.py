@@ -93,9 +93,10 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     grounding = open_run(folder)
     worlds, G = grounding.worlds, load_visual(grounding)
     sensor = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
-    plain, source, seen = worlds.task.domain("source"), worlds.source_domain, worlds.target_domain
-    painted = tuple(e for e in seen.effects[len(plain.effects) :] if type(e).__module__ == looks.__name__)
-    target = Domain("hidden", plain.base, (*plain.effects, *(() if look == TRANSLATED else painted), *hidden))
+    plain = worlds.task.domain("source")
+    source = plain.with_effects(*painted(worlds.repairs))  # G was trained with these, and without what moves otherwise
+    looks_like = () if look == TRANSLATED else painted(worlds.target_domain.effects[len(plain.effects) :])
+    target = Domain("hidden", plain.base, (*plain.effects, *looks_like, *hidden))
     path, control = (folder / "hidden" / f"{n}.h5".replace(" ", "_") for n in (f"{name} {look}", "control"))
     record(worlds, target, path, steps, seed + 100)
     if not control.exists():
@@ -104,6 +105,11 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     reads = Translated(sensor, G) if look == TRANSLATED else sensor
     result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
+
+
+def painted(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The visual ones."""
+    return tuple(e for e in effects if type(e).__module__ == looks.__name__)
 
 
 def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequence[str]) -> Path:
