@@ -22,7 +22,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import Sensor, cut, read_calibrated
+from idapt_pl.sensing import GAIN, Sensor, cut, read_calibrated
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -131,8 +131,9 @@ def discover(
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
         ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
-        degree of freedom, and the shares of frames left ``unread``; the error ``before`` and ``after``, in units of the
-        sensor's noise, and that of the channels of ``target`` and ``control``.
+        degree of freedom, the ``unknown_gain`` that intervals allow for, and the shares of frames left ``unread``; the
+        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
+        ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
@@ -168,6 +169,7 @@ def discover(
         "removed": {"target": gone, "control": made_up_share},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
+        "unknown_gain": GAIN,
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],
         "target": errors[0],

@@ -87,6 +87,8 @@ def test_a_planted_effect_is_found(tmp_path, hidden):
     assert value == pytest.approx(truth, rel=0.1)
     assert result["after"] < 0.5 * result["before"]
     assert result["sensor"]["position"] == pytest.approx([1e-3, 1e-3], rel=0.5)
+    (low, high), gain = next(iter(result["estimates"][0]["parameters"].values()))["ci95"], result["unknown_gain"]
+    assert low < truth < high and high - low > gain * truth, "the interval allows for a gain of the sensor"
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):

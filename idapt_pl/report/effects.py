@@ -58,10 +58,13 @@ def channels(effects: dict) -> str:
     unread = effects.get("unread", {})
     shares = ", ".join(f"{number(100 * share)} % of the {of}'s" for of, share in unread.items())
     left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
+    gain = effects.get("unknown_gain")
+    allowed = f" Intervals allow for readings that are {number(100 * gain)} % too large or small." if gain else ""
     told = paragraph(
         "Root mean square errors. The sensor is what estimates states from images; its error is measured on images of "
         "the source, as G shows them, whose states are known. Control: the source replays these, before any effect."
-        + left_out,
+        + left_out
+        + allowed,
         "small",
     )
     title = "Channel by channel, and how well the images are read"
