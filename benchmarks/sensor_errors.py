@@ -1,7 +1,9 @@
-"""How do the sensors of benchmarks/discovery.py misread its recordings? Evaluation only: true states are compared.
+r"""How do the sensors of benchmarks/discovery.py misread its recordings? Evaluation only: true states are compared.
 
     python benchmarks/discovery.py --seeds 0 1 2 3 4     # makes sensors and recordings
     python benchmarks/sensor_errors.py --seeds 0 1 2 3 4
+    python benchmarks/sensor_errors.py --config "cheetah_quick easy" --runs runs/sensor_cheetah_quick_easy --seeds 0 \
+        --recordings control nothing_easy
 
 For the control (source images as G shows them, to which the sensor is calibrated) and for recordings of targets, each
 position's error is split by least squares into bias, gain (what is read over what is), lag and the rest. Frames further
@@ -59,7 +61,7 @@ def split(error: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> dict
 def main() -> None:
     """Read every recording of every sensor."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--config", default="pendulum_quick")
+    p.add_argument("--config", default="pendulum_quick", help="name in the table, and of the runs")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--runs", help="folders of runs, less _<seed>; default runs/sensor_<config>")
     p.add_argument("--recordings", nargs="+", default=RECORDINGS)

@@ -131,9 +131,9 @@ def discover(
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
         ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
-        degree of freedom, the ``unknown_gain`` that intervals allow for, and the shares of frames left ``unread``; the
-        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
-        ``control``.
+        degree of freedom, whether it is too ``vague`` for anything to be believed, the ``unknown_gain`` that intervals
+        allow for, and the shares of frames left ``unread``; the error ``before`` and ``after``, in units of the
+        sensor's noise, and that of the channels of ``target`` and ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
@@ -154,7 +154,9 @@ def discover(
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     gone, made_up_share = (removed(d.report["error"]) for d in (seen, checked))
-    trusted = believable(excess, explained, gone, made_up_share)
+    if calibration.vague:
+        log.warning("how fast things move cannot be told from the images: what is found in them is not believed")
+    trusted = not calibration.vague and believable(excess, explained, gone, made_up_share)
     real = {(e["effect"], e["target"]) for e in estimates if trusted and not shown_by(e, made_up)}
     believed = [e for e in found if (e.name, e.target) in real]
     for e in estimates:
@@ -169,6 +171,7 @@ def discover(
         "removed": {"target": gone, "control": made_up_share},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
+        "vague": calibration.vague,
         "unknown_gain": GAIN,
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],

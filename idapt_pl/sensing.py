@@ -30,8 +30,8 @@ ONE_NUMBER = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoin
 """Kinds of joints that one number places."""
 VAGUE = 1 / 3
 """Share of the spread of speeds above which errors of speeds say that most of what is read is what is likely in the
-source. It is then no evidence against the source: an armature makes it look like friction. The pendulum's are at 0.13,
-HalfCheetah's at 0.5 to 0.9."""
+source. It is then no evidence against the source: an armature makes it look like friction. Nor is anything believed
+that such a sensor finds by positions alone. The pendulum's are at 0.13, HalfCheetah's at 0.5 to 0.9."""
 FAMILIAR = 3.5
 """Spreads from the mean of the source's positions; further out there was hardly a frame to learn from."""
 
@@ -88,6 +88,12 @@ class Calibration:
     speed: np.ndarray
     bias: np.ndarray
     lag: np.ndarray
+
+    @property
+    def vague(self) -> bool:
+        """Whether how fast most joints move cannot be told, neither as read nor from slopes of positions."""
+        best = np.minimum(self.velocity, self.slope)
+        return bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VAGUE)
 
     @property
     def reads_velocities(self) -> bool:

@@ -85,10 +85,18 @@ def test_a_planted_effect_is_found(tmp_path, hidden):
     assert (effect["effect"], effect["target"]) == (hidden.name, hidden.target)
     value, truth = next(iter(effect["parameters"].values())), next(iter(hidden.to_dict()["parameters"].values()))
     assert value == pytest.approx(truth, rel=0.1)
-    assert result["after"] < 0.5 * result["before"]
+    assert result["after"] < 0.5 * result["before"] and not result["vague"]
     assert result["sensor"]["position"] == pytest.approx([1e-3, 1e-3], rel=0.5)
     (low, high), gain = next(iter(result["estimates"][0]["parameters"].values()))["ci95"], result["unknown_gain"]
     assert low < truth < high and high - low > gain * truth, "the interval allows for a gain of the sensor"
+
+
+def test_a_sensor_that_cannot_tell_how_fast_things_move_is_not_believed(tmp_path, monkeypatch):
+    """The same recordings: what is found is reported, and nothing is added to the source."""
+    monkeypatch.setattr("idapt_pl.sensing.VAGUE", 1e-3)
+    result = found(tmp_path, BodyMass("pole", 50.0))
+    assert result["vague"] and result["effects"] == []
+    assert [(e["effect"], e["target"]) for e in result["disbelieved"]] == [("body_mass", "pole")]
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):
@@ -203,7 +211,12 @@ def test_velocities_are_compared_where_they_are_read_well():
     """Nearer to the truth than slopes, and not mostly what is likely in the source."""
     model = make_task("inverted_pendulum").domain("source").compile()
     good, vague = (Calibration(*(np.full(2, x) for x in (0.1, 0.2, 0.5, s, 0.0, 0.0))) for s in (1.0, 0.5))
-    assert not vague.reads_velocities and vague.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
+    assert (
+        vague.vague
+        and not good.vague
+        and not vague.reads_velocities
+        and vague.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
+    )
     assert vague.noise(model, ()).start == pytest.approx([0.1, 0.1, 0.5, 0.5])
     assert good.reads_velocities and good.noise(model, ()).sensors == pytest.approx([0.1, 0.1, 0.2, 0.2])
     assert good.noise(model, ["slider"]).systematic == (SensorGain("hinge", 1 + GAIN),)
