@@ -2,7 +2,7 @@ r"""Are hidden effects named from images alone, and nothing where nothing is hid
 
     python benchmarks/discovery.py --seeds 0 1 2 3 4
     python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000
-    python benchmarks/discovery.py --config cheetah_quick --target easy --seeds 0 --steps 4000 \
+    python benchmarks/discovery.py --config cheetah_quick --seeds 0 --steps 4000 \
         --settings long --schedule.source_images 16000 --schedule.pretrain.estimator 4000
     python benchmarks/discovery.py --seeds 0 --runs runs/inverted_pendulum_hard   # the sensor of `make demo`
 
@@ -166,9 +166,9 @@ def main() -> None:
     config = " ".join(filter(None, (o.config, o.settings)))
     for seed in o.seeds:
         folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, o.target, seed, o.settings, extra)
-        cases = CASES[open_run(folder).worlds.task.name]
+        worlds = open_run(folder).worlds
+        cases, look = CASES[worlds.task.name], o.looks if o.looks == TRANSLATED else worlds.target_domain.name
         for name in o.cases or cases:
-            look = o.looks if o.looks == TRANSLATED else open_run(folder).worlds.target_domain.name
             about = {"config": config, "looks": look, "case": name, "seed": seed}
             row = about | run(name, cases[name], look, seed, o.steps, folder) | {"commit": git_commit()}
             print({k: v for k, v in row.items() if v != ""}, flush=True)

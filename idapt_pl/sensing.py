@@ -99,7 +99,7 @@ class Calibration:
     def reads_velocities(self) -> bool:
         """Whether velocities as read are near the truth, and nearer than slopes of positions, for most joints."""
         better = np.median(self.velocity / np.maximum(self.slope, 1e-12)) < 1.0
-        return bool(better and np.median(self.velocity / np.maximum(self.speed, 1e-12)) < VAGUE)
+        return bool(better) and not self.vague
 
     def noise(self, model: mujoco.MjModel, unseen: Sequence[str]) -> Noise:
         """The errors as noise of what is compared, and of the states that windows begin with; gains are unknown."""

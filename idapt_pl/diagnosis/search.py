@@ -21,7 +21,7 @@ from idapt_pl.diagnosis.revision import prune, swap
 from idapt_pl.diagnosis.screening import screening, shortlist
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.state import Progress, Search, Settings, Tried
-from idapt_pl.diagnosis.statistics import Noise, considered, covariance
+from idapt_pl.diagnosis.statistics import Noise, covariance, unknown_variance
 from idapt_pl.diagnosis.verdict import judge
 from idapt_pl.domains.paths import ActuatorDelay, ActuatorLag
 
@@ -185,7 +185,7 @@ def measure(search: Search) -> None:
     search.x, episodes = fit.x, search.fit.windows.episode
     V, clusters = covariance(fit, episodes), len(np.unique(episodes))
     by_chance = student.ppf(0.975, max(clusters - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0))
-    width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(considered(fit, search.systematic())))
+    width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown_variance(fit, search.systematic())))
     scale = np.concatenate([c.scale for c in search.accepted])
     sizes = np.cumsum([c.size for c in search.accepted])[:-1]
     for f, half in zip(search.found, np.split(width * scale, sizes), strict=True):

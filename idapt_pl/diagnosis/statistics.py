@@ -350,7 +350,7 @@ def influence(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.pinv(fit.J.T @ (weight[:, None] * fit.J)), weight[:, None] * fit.J
 
 
-def considered(fit: Fit, changes: Sequence[np.ndarray]) -> np.ndarray:
+def unknown_variance(fit: Fit, changes: Sequence[np.ndarray]) -> np.ndarray:
     """Variance of x / scale, (p,), by things that are not known and not fitted (Schmidt's consider parameters).
 
     Args:
