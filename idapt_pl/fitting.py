@@ -26,8 +26,10 @@ from datamodules.on_policy import encode_all, target_transitions
 from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
+from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.rehearsal import Rehearsal
 from idapt_pl.rollout import Act, Experience, VectorEnv, evaluate, garat_rollout
 from idapt_pl.sensing import seen_through
 from idapt_pl.shooting import start_from_matching
@@ -274,6 +276,12 @@ class Fitting:
         else:
             module.load_state_dict(initial.state_dict())
         return module
+
+    def rehearsal(self, seed: int, num_envs: int) -> Rehearsal:
+        """What the teacher does in the source as it was declared, played without looking."""
+        build = lambda: self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)  # noqa: E731
+        env = VectorStateEnv(self.worlds.task, self.worlds.task.domain("source"), num_envs)
+        return Rehearsal(self.teaching.of_the_source(build), env, seed)
 
     def source_policy(self, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
         """π by SAC (or first a teacher) in the plain source: where everything starts, and what is transferred directly.

@@ -50,8 +50,8 @@ class Schedule:
         images: control steps in each of the task-agnostic datasets.
         source_images: control steps in the source's, where they are to be more: labelled images of the source cost no
             target interaction, and P^S and the policy's encoder overfit few. None for as many as ``images``.
-        exploration: the policy that collects them, ``random`` (uniform actions) or ``babble`` (slower and
-            at several strengths).
+        exploration: the policy that collects them, ``random`` (uniform actions), ``babble`` (slower and at several
+            strengths) or ``rehearse`` (what the teacher does in the source, played without looking).
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
@@ -67,7 +67,7 @@ class Schedule:
     grounding_steps: int = 5
     images: int = 20_000
     source_images: int | None = None
-    exploration: Literal["random", "babble"] = "random"
+    exploration: Literal["random", "babble", "rehearse"] = "random"
     interactions: int = 1000
     source_policy: int = 10_000
     pretrain: Lengths = field(default_factory=lambda: Lengths(25_000, 100_000, 10_000))
@@ -90,6 +90,11 @@ class IterativeGrounding:
     def __init__(self, fit: Fitting, evaluation: Evaluation, schedule: Schedule, effects: Discovery = NOTHING) -> None:
         self.fit, self.evaluation, self.schedule, self.effects = fit, evaluation, schedule, effects
         self.worlds, self.stages = fit.worlds, fit.stages
+        if schedule.exploration == "rehearse" and not fit.teacher.steps:
+            raise ValueError(
+                "schedule.exploration: rehearse plays what a teacher does in the source, and there is none: "
+                "give teacher.steps and teacher.dagger, or explore by babble or random"
+            )
 
     def run(self) -> dict:
         """Run Algorithm 1, or what is left of it. Returns the summary (see ``summary.json``)."""
@@ -183,7 +188,9 @@ class IterativeGrounding:
         return decision["rolled_back"]
 
     def explore(self, seed: int, num_envs: int = 1) -> Act:
-        """The task-agnostic policy."""
+        """The policy that collects D^S and D^T before there is one for the target."""
+        if self.schedule.exploration == "rehearse":
+            return self.fit.rehearsal(seed, num_envs)
         with closing(self.worlds.source(num_envs)) as env:
             return EXPLORATION[self.schedule.exploration](env, seed)
 

@@ -8,7 +8,7 @@ import torch
 
 from datamodules import Trajectories
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.rollout import EXPLORATION, VectorEnv, collect
+from idapt_pl.rollout import VectorEnv, collect
 
 
 def train_oracle(grounding: IterativeGrounding) -> dict:
@@ -25,7 +25,7 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
 
     def collect_labelled(seed: int) -> Trajectories:
         with closing(worlds.rewarded_target(1)) as env:
-            return collect(env, EXPLORATION[schedule.exploration](env, seed), schedule.images, seed, "oracle reference")
+            return collect(env, grounding.explore(seed), schedule.images, seed, "oracle reference")
 
     path, images = grounding.stages.record(0, "oracle", collect_labelled)
     predictor = fit.state_predictor(0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")

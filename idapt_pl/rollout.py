@@ -46,6 +46,12 @@ def babbling_policy(env: VectorEnv, seed: int) -> Act:
     return act
 
 
+def tick(act: Act | None, ended: np.ndarray) -> None:
+    """Tell a policy that keeps time that a control step has passed, and in which simulations it ended the episode."""
+    if hasattr(act, "tick"):
+        act.tick(ended)
+
+
 EXPLORATION: dict[str, Callable[[VectorEnv, int], Act]] = {"random": random_policy, "babble": babbling_policy}
 """Task-agnostic policies, by the names configs and the command line use."""
 
@@ -71,6 +77,7 @@ def collect(env: VectorEnv, act: Act, steps: int, seed: int, source: str, pixels
     while taken < steps:
         actions = act(obs["pixels"])
         obs, rewards, terminations, truncations, infos = env.step(actions)
+        tick(act, terminations | truncations)
         successor = infos.get("final_obs", obs)
         taken += env.num_envs
         for i, builder in enumerate(running):
@@ -244,6 +251,7 @@ def garat_rollout(
             delta = F.residual(F.agent_input(features, actions)).sample()
             obs, _, terminations, truncations, infos = env.step(F.apply_residual(actions, delta).cpu().numpy())
             successor, done = infos.get("final_obs", obs), terminations | truncations
+            tick(explore, done)
             row = {"features": features, "actions": actions, "delta": delta}
             row["next_features"] = features = F.encode(successor["pixels"])
             row["next_actions"] = actions = choose(features, successor["pixels"])

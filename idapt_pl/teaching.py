@@ -114,6 +114,7 @@ class Teaching:
         self.worlds, self.stages, self.teacher = worlds, stages, teacher
         self.num_envs, self.batch, self.memory = num_envs, batch, memory
         self.expert: StateSAC | None = None
+        self._first: StateSAC | None = None  # before any adaptation
         self._dynamics: tuple | None = None  # those that the expert was trained in
 
     def student(
@@ -181,8 +182,14 @@ class Teaching:
             return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
         self.expert = fit_expert(build_expert, make, recipe, self.stages, step, name, fresh)
-        self._dynamics = dynamics
+        self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
+
+    def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
+        """The teacher as it is before any grounding; it trains now, if it has not yet."""
+        if self._first is None:
+            self.up_to_date(0, "source_teacher", build, lambda device: None, None)
+        return self._first
 
 
 @torch.no_grad()

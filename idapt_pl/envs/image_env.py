@@ -71,9 +71,11 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         return self.task.period(self.model)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin new episodes; with ``options={"reset_mask": mask}`` in the simulations that it marks only."""
         if seed is not None:
             self._rng = np.random.default_rng(seed)
-        self._reset(np.arange(self.num_envs))
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        self._reset(np.flatnonzero(mask))
         return self._observe(), {}
 
     def step(self, actions: np.ndarray):
