@@ -280,8 +280,9 @@ class Fitting:
     def rehearsal(self, seed: int, num_envs: int) -> Rehearsal:
         """What the teacher does in the source as it was declared, played without looking."""
         build = lambda: self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)  # noqa: E731
-        env = VectorStateEnv(self.worlds.task, self.worlds.task.domain("source"), num_envs)
-        return Rehearsal(self.teaching.of_the_source(build), env, seed)
+        teacher = self.teaching.of_the_source(build)
+        torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
+        return Rehearsal(teacher, VectorStateEnv(self.worlds.task, self.worlds.task.domain("source"), num_envs), seed)
 
     def source_policy(self, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
         """π by SAC (or first a teacher) in the plain source: where everything starts, and what is transferred directly.
