@@ -7,8 +7,9 @@ import os
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")
 
-from datamodules.torchvision_compat import ensure_torchvision
-from idapt_pl.memory import keep_freed_memory
+if "IDAPT_ONLY_RENDERS" not in os.environ:  # such a process needs no torch, which takes seconds to load
+    from datamodules.torchvision_compat import ensure_torchvision
+    from idapt_pl.memory import keep_freed_memory
 
-ensure_torchvision()  # before anything imports Lightning
-keep_freed_memory()
+    ensure_torchvision()  # before anything imports Lightning
+    keep_freed_memory()

@@ -12,17 +12,23 @@ from idapt_pl.tasks import make_task
 
 PROGRAM = """
 import hashlib, numpy as np, idapt_pl
+from contextlib import closing
+from idapt_pl.domains import parallel
 from idapt_pl.domains.filament import FilamentRenderer
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import make_task
 task = make_task("fetch_reach")
 one, two = (VectorImageEnv(task, task.domain("hard"), 1, size, 1) for size in (32, 24))
-assert isinstance(one._render._own, FilamentRenderer)
 first = one.reset(seed=0)[0]["pixels"]
 second = two.reset(seed=0)[0]["pixels"]          # two alive at a time, in turn
+with closing(FilamentRenderer(one.model, 32)) as here:
+    assert (one.reset(seed=0)[0]["pixels"][0, 0] == here(one.data[0])).all(), "drawn here or there"
+parallel.LIFETIME, pid = 3, parallel._others[0]._process.pid
 again = one.reset(seed=0)[0]["pixels"]
+assert parallel._others[0]._process.pid != pid, "Filament keeps memory of every frame, so processes are replaced"
 moved = one.step(np.ones((1, 4), np.float32))[0]["pixels"]
 assert (first == again).all() and (first != moved).any() and first.std() > 10 and second.std() > 10
+assert len(parallel._others) == 1
 print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
 """
 

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import functools
-import multiprocessing
 import os
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from idapt_pl.domains.rendering import make_renderer
-
-POSES = (
-    "xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat", "cam_xpos", "cam_xmat", "light_xpos",
-    "light_xdir",
-)  # fmt: skip
-"""What a picture shows of ``MjData``."""
-
+from idapt_pl.domains.render_process import RenderProcess
+from idapt_pl.domains.rendering import engine_of, filament_is_used, make_renderer
 
 MOST = 3
 """Further processes by default, at most: each takes some 400 MB, and a step has few frames to share out."""
+LIFETIME = 1500
+"""Frames that a process draws before it is replaced where Filament draws, which keeps memory of every frame."""
+
+_others: list[RenderProcess] = []
+"""This program's processes, kept until it ends, since starting one takes seconds."""
 
 
 def usual_processes() -> int:
@@ -36,73 +32,61 @@ class ParallelRenderer:
     """Renders the frames of several simulations of one model: a share here, the rest in other processes.
 
     Pictures are the same to the bit wherever they are rendered. Threads would not do: reading a frame back holds
-    Python's lock. The processes are started by the first call that has something for them and kept until this one
-    ends, since starting one takes seconds.
+    Python's lock. What Filament draws is all drawn in other processes, one at least, that are replaced now and then:
+    it keeps memory of every frame until its process ends.
 
     Args:
         model: compiled model with the task's camera.
         size: height and width in pixels.
-        processes: further processes at most; 0 renders everything here. With any, the main module must be importable
-            without side effects (``if __name__ == "__main__"``), as always with :mod:`multiprocessing`.
+        processes: further processes at most; 0 renders everything here (Filament: in one other).
     """
 
     def __init__(self, model: mujoco.MjModel, size: int, processes: int = 0) -> None:
-        self._model, self._size, self._processes = model, size, processes
-        self._own = make_renderer(model, size)
+        self._model, self._size = model, size
+        self._elsewhere = engine_of(model) == "filament" and filament_is_used()
+        self._shares = processes + 1
+        self._own = None if self._elsewhere else make_renderer(model, size)
         self._folder: tempfile.TemporaryDirectory | None = None
 
     def __call__(self, data: Sequence[mujoco.MjData]) -> np.ndarray:
         """Render. Returns uint8 (n, size, size, 3)."""
-        first, *others = np.array_split(np.arange(len(data)), min(len(data), self._processes + 1))
+        shares = np.array_split(np.arange(len(data)), min(len(data), self._shares))
+        own = [] if self._elsewhere else shares.pop(0)
         frames = np.empty((len(data), self._size, self._size, 3), np.uint8)
-        pending = [(share, self._submit([poses(data[i]) for i in share])) for share in others]
-        for i in first:
-            self._own(data[i], out=frames[i])
-        for share, future in pending:
-            frames[share] = future.result()
+        processes = self._processes(len(shares))
+        try:
+            for process, share in zip(processes, shares, strict=True):
+                process.ask(self._file, self._size, [data[i] for i in share])
+            for i in own:
+                self._own(data[i], out=frames[i])
+            for process, share in zip(processes, shares, strict=True):
+                process.answer(frames[share[0] : share[-1] + 1])
+        except BaseException:  # what was asked for and not taken must not be taken for the next answer
+            for process in processes:
+                process.close()
+            raise
         return frames
 
-    def _submit(self, seen: list[dict[str, np.ndarray]]):
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="idapt-")
-            mujoco.mj_saveModel(self._model, str(self._path))
-        return _processes(self._processes).submit(_render, str(self._path), self._size, seen)
+    def _processes(self, number: int) -> list[RenderProcess]:
+        while len(_others) < number:
+            _others.append(RenderProcess())
+        for process in _others[:number]:
+            if self._elsewhere and process.drawn >= LIFETIME:
+                process.close()
+        return _others[:number]
 
     @property
-    def _path(self) -> Path:
+    def _file(self) -> Path:
+        """The model, for other processes to read."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="idapt-")
+            mujoco.mj_saveModel(self._model, str(Path(self._folder.name) / "model.mjb"))
         return Path(self._folder.name) / "model.mjb"
 
     def close(self) -> None:
         """Free what this process renders with; the others keep theirs until they need the room."""
-        self._own.close()
+        if self._own is not None:
+            self._own.close()
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
-
-
-def poses(data: mujoco.MjData) -> dict[str, np.ndarray]:
-    """What a picture shows of a simulation. Not recomputed from ``qpos``: after a step, ``MjData`` lags behind that."""
-    return {name: getattr(data, name) for name in POSES}
-
-
-@functools.cache
-def _processes(number: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"))
-
-
-@functools.lru_cache(maxsize=4)
-def _loaded(path: str, size: int) -> tuple[mujoco.MjData, object]:
-    """In one of the processes: a model's renderer, and data to show."""
-    model = mujoco.MjModel.from_binary_path(path)
-    return mujoco.MjData(model), make_renderer(model, size)
-
-
-def _render(path: str, size: int, seen: list[dict[str, np.ndarray]]) -> np.ndarray:
-    """In one of the processes: frames, uint8 (n, size, size, 3)."""
-    data, render = _loaded(path, size)
-    frames = np.empty((len(seen), size, size, 3), np.uint8)
-    for frame, values in zip(frames, seen, strict=True):
-        for name, value in values.items():
-            getattr(data, name)[:] = value
-        render(data, out=frame)
-    return frames
