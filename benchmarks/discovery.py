@@ -39,10 +39,10 @@ from idapt_pl.domains import Domain, looks
 from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointDamping
 from idapt_pl.domains.paths import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
+from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.rollout import EXPLORATION, collect
+from idapt_pl.rollout import collect
 from idapt_pl.sensing import Sensor
-from idapt_pl.worlds import Worlds
 
 CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
     "inverted_pendulum": {
@@ -98,9 +98,9 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     looks_like = () if look == TRANSLATED else painted(worlds.target_domain.effects[len(plain.effects) :])
     target = Domain("hidden", plain.base, (*plain.effects, *looks_like, *hidden))
     path, control = (folder / "hidden" / f"{n}.h5".replace(" ", "_") for n in (f"{name} {look}", "control"))
-    record(worlds, target, path, steps, seed + 100)
+    record(grounding, target, path, steps, seed + 100)
     if not control.exists():
-        record(worlds, source, control, steps, seed + 200)
+        record(grounding, source, control, steps, seed + 200)
     started = time.perf_counter()
     reads = Translated(sensor, G) if look == TRANSLATED else sensor
     result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed)
@@ -119,10 +119,11 @@ def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequen
     return quick.run(ROOT / f"configs/{config}.yaml", seed, extra, name)
 
 
-def record(worlds: Worlds, domain: Domain, path: Path, steps: int, seed: int) -> None:
-    """Images, states and actions of random motions."""
+def record(grounding: IterativeGrounding, domain: Domain, path: Path, steps: int, seed: int) -> None:
+    """Images, states and actions of the run's exploration."""
+    worlds = grounding.worlds
     with closing(VectorImageEnv(worlds.task, domain, 1, worlds.image_size, worlds.frame_stack, worlds.view)) as env:
-        write_trajectories(path, collect(env, EXPLORATION["babble"](env, seed), steps, seed, path.stem))
+        write_trajectories(path, collect(env, grounding.explore(seed), steps, seed, path.stem))
 
 
 def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
