@@ -1,0 +1,81 @@
+"""What do exploration policies show of a task, before there is a policy for the target?
+
+    python benchmarks/exploration.py --runs runs/walker2d_hard_0
+
+Plays ``random``, ``babble`` and ``rehearse`` (with the teacher of the run) in the run's source and target, on states,
+and writes ``results/exploration.csv``: the length of episodes in control steps, and how far positions move within
+them, the standard deviation over an episode, averaged over episodes and over the states that are positions of the
+joints that are driven. The same of the run's teacher where it looks: ``closed loop``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import torch
+from rendering import write_table
+
+import idapt_pl  # noqa: F401  sets the GL backend before MuJoCo is loaded
+from cli.run_folder import open_run
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.rehearsal import Rehearsal
+from idapt_pl.rollout import EXPLORATION, Act, tick
+
+
+def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[VectorStateEnv], Act]]:
+    """By name, given the environment that is acted in."""
+    teacher = grounding.fit.rehearsal(seed, 1).teacher
+    task = grounding.worlds.task
+    rehearse = lambda env: Rehearsal(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
+    by_name = {name: lambda env, make=make: make(env, seed) for name, make in EXPLORATION.items()}
+    return by_name | {"rehearse": rehearse, "closed loop": lambda env: teacher.act}
+
+
+def play(env: VectorStateEnv, act: Act, steps: int, seed: int) -> tuple[list[int], list[np.ndarray]]:
+    """Lengths of whole episodes, and for each the spread of the driven joints' positions."""
+    driven = [int(env.model.jnt_qposadr[j]) for j in env.model.actuator_trnid[:, 0]]
+    obs, _ = env.reset(seed=seed + 1)  # not where the rehearsal starts
+    lengths, spreads, seen = [], [], []
+    for _ in range(steps):
+        seen.append(env.data[0].qpos[driven].copy())
+        obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
+        tick(act, terminations | truncations)
+        if terminations[0] or truncations[0]:
+            lengths.append(len(seen))
+            spreads.append(np.std(seen, axis=0))
+            seen = []
+    return lengths, spreads
+
+
+def measure(run: Path, steps: int, seed: int) -> list[dict]:
+    """The rows of one run."""
+    grounding, rows = open_run(run), []
+    worlds = grounding.worlds
+    for domain in (worlds.task.domain("source"), worlds.target_domain):
+        for name, make in explorers(grounding, seed).items():
+            torch.manual_seed(seed)
+            with closing(VectorStateEnv(worlds.task, domain, 1)) as env:
+                lengths, spreads = play(env, make(env), steps, seed)
+            row = {"task": worlds.task.name, "domain": domain.name, "exploration": name, "episodes": len(lengths)}
+            row |= {"length": round(np.mean(lengths), 1), "median_length": round(np.median(lengths), 1)}
+            rows.append(row | {"spread": round(float(np.mean(spreads)), 3)})
+    return rows
+
+
+def main() -> None:
+    """Measure."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--runs", type=Path, nargs="+", required=True, help="folders of runs with a teacher")
+    p.add_argument("--steps", type=int, default=4000, help="control steps in each domain, by each policy")
+    p.add_argument("--seed", type=int, default=0)
+    o = p.parse_args()
+    write_table("exploration", [row for run in o.runs for row in measure(run, o.steps, o.seed)], key=("task",))
+
+
+if __name__ == "__main__":
+    main()
