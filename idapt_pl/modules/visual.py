@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import pickle
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from typing import Literal
 import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities import CombinedLoader
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchvision.utils import make_grid
@@ -45,6 +47,8 @@ class VisualTransformation(ManualModule):
         translate: what G sees at a time, one ``frame`` (3 channels) or the whole ``stack`` (3K channels).
         width: channels of the generators' first layer (ngf).
         blocks: residual blocks of the generators.
+        background: generators begin as the mean image of the domain they translate to, and learn what differs from it;
+            for cameras that stand still, or move with the robot. False as in CycleGAN.
         discriminator_width: channels of the discriminators' first layer (ndf).
         discriminator_layers: their layers of stride 2 (n_layers_D); 3 judge patches of 70 pixels, 2 of 34, 1 of 16.
         gan_loss: ``lsgan`` (CycleGAN) or ``bce`` (the authors' code: smoothed labels on the mean logit).
@@ -84,6 +88,7 @@ class VisualTransformation(ManualModule):
         translate: Literal["frame", "stack"] = "frame",
         width: int = 64,
         blocks: int = 9,
+        background: bool = False,
         discriminator_width: int = 64,
         discriminator_layers: int = 3,
         gan_loss: Literal["lsgan", "bce"] = "lsgan",
@@ -118,8 +123,9 @@ class VisualTransformation(ManualModule):
             raise ValueError("consistency_weight compares the frames of a stack, and frame_stack is 1: leave it at 0")
         channels = 3 if translate == "frame" else 3 * frame_stack
         self.one_sided = contrastive_weight > 0 and cycle_weight == 0
-        self.G = ResnetGenerator(channels, width, blocks)  # source to target
-        self.G_back = None if self.one_sided else ResnetGenerator(channels, width, blocks)  # target to source
+        generator = partial(ResnetGenerator, channels, width, blocks, height_width(image_size) if background else None)
+        self.G = generator()  # source to target
+        self.G_back = None if self.one_sided else generator()  # target to source
         patches = (channels, discriminator_width, discriminator_layers)
         self.D_T = PatchDiscriminator(*patches)
         self.D_S = None if self.one_sided else PatchDiscriminator(*patches)
@@ -212,6 +218,17 @@ class VisualTransformation(ManualModule):
         """Translated stacks of the one domain in the batch."""
         (domain,) = batch
         return self.translate_stacks(batch[domain]["pixels"], back=domain == "target")
+
+    def on_fit_start(self) -> None:
+        """Set the backgrounds of new generators from the training images."""
+        if not self.hparams.background or self.G.background.any():  # else a fit that goes on
+            return
+        means = mean_images(self.trainer.datamodule.train_dataloader(), self.frames)
+        self.G.start_from(means["target"].to(self.device))
+        if self.G_back is not None:
+            self.G_back.start_from(means["source"].to(self.device))
+        if self.G_average is not None:
+            self.G_average.module.load_state_dict(self.G.state_dict())
 
     def training_step(self, batch: dict, index: int) -> None:
         opt_g, opt_d = self.optimizers()
@@ -385,6 +402,15 @@ def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, 
     given = {name: images for name, images in parts.items() if images is not None}
     out = net(torch.cat(list(given.values()))).split([len(images) for images in given.values()])
     return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
+
+
+def mean_images(batches: CombinedLoader, frames: int, most: int = 200) -> dict[str, Tensor]:
+    """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
+    sums: dict[str, list[Tensor]] = {"source": [], "target": []}
+    for batch, *_ in itertools.islice(batches, most):
+        for domain, seen in sums.items():
+            seen.append(stack_channels(batch[domain]["pixels"][:, -frames:]).mean(0))
+    return {domain: torch.stack(seen).mean(0) for domain, seen in sums.items()}
 
 
 @torch.no_grad()

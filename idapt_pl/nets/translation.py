@@ -53,9 +53,13 @@ class ResnetGenerator(nn.Module):
         channels: of the images, 3 or 3K.
         width: channels after the first layer (ngf).
         blocks: residual blocks, 9 in CycleGAN for 256 pixels, 6 for 128.
+        background: height and width of images all seen by a camera that stands still. What the network gives is then
+            added to a learned image, before tanh, which :meth:`start_from` sets. None leaves it out (CycleGAN).
     """
 
-    def __init__(self, channels: int = 3, width: int = 64, blocks: int = 9) -> None:
+    def __init__(
+        self, channels: int = 3, width: int = 64, blocks: int = 9, background: Sequence[int] | None = None
+    ) -> None:
         super().__init__()
         layers = [
             conv_block(channels, width, 7),
@@ -73,10 +77,19 @@ class ResnetGenerator(nn.Module):
             )
         self.body = nn.Sequential(*layers, nn.ReflectionPad2d(3), nn.Conv2d(width, channels, 7))
         self.apply(gan_init)
+        self.background = nn.Parameter(torch.zeros(channels, *background)) if background else None
+
+    @torch.no_grad()
+    def start_from(self, image: Float[Tensor, "c h w"]) -> None:
+        """Begin as the net that gives this image, -1..1, whatever it is shown."""
+        self.background.copy_(torch.atanh(image.clamp(-0.99, 0.99)))
+        nn.init.zeros_(self.body[-1].weight)
+        nn.init.zeros_(self.body[-1].bias)
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
         """Translate images, -1..1."""
-        return torch.tanh(self.body(x).float())
+        out = self.body(x).float()
+        return torch.tanh(out if self.background is None else out + self.background)
 
     def features(self, x: Float[Tensor, "b c h w"], layers: Sequence[int]) -> list[Tensor]:
         """Activations after some of the layers, counted from the first convolution (0)."""
