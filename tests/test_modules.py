@@ -244,6 +244,33 @@ def test_averaged_g_follows_g_and_is_the_one_that_translates(trainer, fitted_P_S
     )
 
 
+def test_with_a_background_g_starts_as_the_mean_image_of_the_other_domain(trainer):
+    module, fit = visual(state_dim=0, background=True, lr_generator=0.0, ema_decay=0.9), trainer(1)
+    (source, state), (target, _) = dots(8, (255, 0, 0), (0, 0, 0)), dots(8, (0, 0, 255), (90, 90, 90), 1)
+    looks = {"source": {"pixels": source, "state": state}, "target": {"pixels": target}}
+    fit.fit(module, datamodule=Fixed(looks))
+    for made, other in ((module.translate_stacks(source), target), (module.translate_stacks(target, True), source)):
+        mean_image = other.float().mean((0, 1))
+        assert (made.float() - mean_image).abs().max() <= 0.005 * 255 + 1, "but for what tanh cannot give"
+    assert source.float().mean((0, 1)).std() > 5
+
+
+def test_a_fit_that_goes_on_keeps_the_background_it_learned(trainer):
+    module = visual(state_dim=0, background=True)
+    looks = paired_looks(*dots(8, (255, 0, 0), (0, 0, 0)))
+    trainer(3).fit(module, datamodule=Fixed(looks))
+    learned = copy.deepcopy(module.G.state_dict())
+    trainer(0).fit(module, datamodule=Fixed(looks))
+    module.on_fit_start()
+    assert all(torch.equal(v, learned[k]) for k, v in module.G.state_dict().items())
+    assert module.G.body[-1].weight.any()
+
+
+def test_a_background_is_of_one_size():
+    with pytest.raises(ValueError, match="32 x 32 pixels, and the images have 40 x 32"):
+        visual(background=True).translate(np.zeros((1, 1, 40, 32, 3), np.uint8))
+
+
 def visual_with(G):
     module = visual(state_dim=0)
     module.G = G

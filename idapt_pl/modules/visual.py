@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import pickle
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
-from lightning.pytorch.utilities import CombinedLoader
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchvision.utils import make_grid
@@ -404,10 +403,11 @@ def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, 
     return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
 
 
-def mean_images(batches: CombinedLoader, frames: int, most: int = 200) -> dict[str, Tensor]:
+def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
     """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
     sums: dict[str, list[Tensor]] = {"source": [], "target": []}
-    for batch, *_ in itertools.islice(batches, most):
+    for batch in itertools.islice(batches, most):
+        batch = batch[0] if isinstance(batch, tuple) else batch  # Lightning's CombinedLoader gives indices too
         for domain, seen in sums.items():
             seen.append(stack_channels(batch[domain]["pixels"][:, -frames:]).mean(0))
     return {domain: torch.stack(seen).mean(0) for domain, seen in sums.items()}

@@ -89,7 +89,12 @@ class ResnetGenerator(nn.Module):
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
         """Translate images, -1..1."""
         out = self.body(x).float()
-        return torch.tanh(out if self.background is None else out + self.background)
+        if self.background is None:
+            return torch.tanh(out)
+        if out.shape[1:] != self.background.shape:
+            (h, w), (height, width) = self.background.shape[1:], out.shape[2:]
+            raise ValueError(f"the background has {h} x {w} pixels, and the images have {height} x {width}")
+        return torch.tanh(out + self.background)
 
     def features(self, x: Float[Tensor, "b c h w"], layers: Sequence[int]) -> list[Tensor]:
         """Activations after some of the layers, counted from the first convolution (0)."""
