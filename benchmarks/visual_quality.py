@@ -44,7 +44,7 @@ OUT = ROOT / "results" / "visual_quality.csv"
 QUICK = {"inverted_pendulum": "pendulum", "walker2d": "walker"}
 MEASURED = ("psnr", "psnr_before", "ssim", "ssim_before", "state_error", "state_error_probe", "state_error_probe_floor")
 MEASURED += ("kid", "kid_before", "kid_floor")
-KEYS = ("task", "target", "state_weight", "state_jitter", "seed")
+KEYS = ("task", "target", "state_weight", "state_jitter", "background", "seed")
 
 
 def paired_recordings(task_name: str, target: str, steps: int, seed: int) -> tuple[Trajectories, Trajectories]:
@@ -99,14 +99,14 @@ def record(folder: Path, task: str, target: str, seed: int, images: int) -> None
 def run(task: str, target: str, weight: float, seed: int, o: argparse.Namespace) -> dict:
     """Train and test once; a row of the table."""
     data = ROOT / "runs" / "visual_quality" / f"{task}_{target}_{seed}"
-    folder = data / f"state_weight_{weight:g}_jitter_{o.jitter:g}"
+    folder = data / f"state_weight_{weight:g}_jitter_{o.jitter:g}{'_background' * o.background}"
     record(data, task, target, seed, o.images)
     where = {"source": "source", "target": "target", "test_source": "test", "test_target": "test_target"}
     common = [f"--data.{k}={data / v}.h5" for k, v in where.items()]
     common += ["--data.paired=true", "--data.frame_stack=3", "--data.batch_size=4", f"--run_dir={folder}"]
     common += [f"--quality.target_states={data / 'probe.h5'}", f"--quality.state_batches={o.state_batches}"]
     settings = [f"--config={ROOT / 'configs/visual/fast.yaml'}", f"--model.state_weight={weight}"]
-    settings += [f"--model.state_jitter={o.jitter}"]
+    settings += [f"--model.state_jitter={o.jitter}", f"--model.background={o.background}"]
     settings += [f"--labelled.batches={o.state_batches}", "--labelled.lr=3e-3", f"--seed_everything={seed}"]
     settings += ["--vision.strides=[2,2,1,1]", "--vision.pool=keypoints"]
     trainer = [f"--trainer.max_epochs={o.epochs}", "--trainer.limit_val_batches=0"]
@@ -114,7 +114,8 @@ def run(task: str, target: str, weight: float, seed: int, o: argparse.Namespace)
     if idapt(["visual", "fit", *settings, *common, *trainer]) or idapt(["visual", "test", *common]):
         raise SystemExit(f"{folder}: failed")
     figures = json.loads((folder / "quality.json").read_text())
-    row = {"task": task, "target": target, "state_weight": weight, "state_jitter": o.jitter, "seed": seed}
+    row = {"task": task, "target": target, "state_weight": weight, "state_jitter": o.jitter}
+    row |= {"background": int(o.background), "seed": seed}
     row |= {name: figures.get(name) for name in MEASURED}
     return row | {"minutes": round((time.perf_counter() - started) / 60, 1), "commit": git_commit(), **machine()}
 
@@ -127,6 +128,7 @@ def main() -> None:
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     p.add_argument("--weights", type=float, nargs="+", default=[5.0, 0.0], help="of state reconstruction")
     p.add_argument("--jitter", type=float, default=0.0, help="of contrast, brightness and noise that P^T sees")
+    p.add_argument("--background", action="store_true", help="generators begin as the other domain's mean image")
     p.add_argument("--images", type=int, default=4000, help="recorded of each domain")
     p.add_argument("--epochs", type=int, default=1, help="of images/4 batches")
     p.add_argument("--state_batches", type=int, default=1200, help="to fit P^S, and the probe")
@@ -135,7 +137,7 @@ def main() -> None:
     rows = read_rows(o.out)
     done = {tuple(r[k] for k in KEYS) for r in rows}
     for seed, task, target, weight in itertools.product(o.seeds, o.tasks, o.targets, o.weights):
-        if tuple(map(str, (task, target, weight, o.jitter, seed))) in done:
+        if tuple(map(str, (task, target, weight, o.jitter, int(o.background), seed))) in done:
             continue
         rows.append(run(task, target, weight, seed, o))
         print({k: rows[-1][k] for k in (*KEYS, *MEASURED)}, flush=True)
