@@ -27,7 +27,7 @@ from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, StateSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rehearsal import Rehearsal
 from idapt_pl.rollout import Act, Experience, VectorEnv, evaluate, garat_rollout
@@ -277,10 +277,15 @@ class Fitting:
             module.load_state_dict(initial.state_dict())
         return module
 
+    def source_teacher(self) -> StateSAC:
+        """The teacher as it is before any grounding."""
+        return self.teaching.of_the_source(
+            lambda: self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)
+        )
+
     def rehearsal(self, seed: int, num_envs: int) -> Rehearsal:
         """What the teacher does in the source as it was declared, played without looking."""
-        build = lambda: self.make.policy(**self.worlds.dimensions, **self.worlds.action_bounds)  # noqa: E731
-        teacher = self.teaching.of_the_source(build)
+        teacher = self.source_teacher()
         torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
         return Rehearsal(teacher, VectorStateEnv(self.worlds.task, self.worlds.task.domain("source"), num_envs), seed)
 

@@ -141,6 +141,8 @@ class IterativeGrounding:
 
     def explore_target(self) -> Path:
         """D^T: task-agnostic images of the target, from random actions."""
+        if self.schedule.exploration == "rehearse":
+            self.fit.source_teacher()  # here, so that its training is a stage and not part of the recording
         return self._record_target(0, self.explore, self.schedule.images)
 
     def roll_out_target(self, k: int, pi) -> Path:
