@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import mujoco
 import numpy as np
@@ -94,15 +93,19 @@ def serve() -> None:
     for line in requests:
         request = json.loads(line)
         data, render = _loaded(request["model"], request["size"])
-        for _ in range(request["frames"]):
-            _read_poses(requests, data)
+        poses = [getattr(data, name) for name in POSES]
+        each = sum(p.nbytes for p in poses)
+        asked = requests.read(each * request["frames"])  # all, before any answer: else both sides wait for each other
+        for start in range(0, len(asked), each):
+            _pose(poses, asked[start : start + each])
             answers.write(render(data))
         answers.flush()
 
 
-def _read_poses(requests: BinaryIO, data: mujoco.MjData) -> None:
-    for name in POSES:
-        requests.readinto(getattr(data, name))
+def _pose(poses: Sequence[np.ndarray], values: bytes) -> None:
+    values = np.frombuffer(values)
+    for pose, part in zip(poses, np.split(values, np.cumsum([p.size for p in poses])[:-1]), strict=True):
+        pose.flat = part
 
 
 @functools.lru_cache(maxsize=4)
