@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from contextlib import closing
 
 import mujoco
@@ -12,7 +13,7 @@ import pytest
 
 from idapt_pl.domains import parallel
 from idapt_pl.domains.parallel import ParallelRenderer
-from idapt_pl.domains.render_process import RenderProcess
+from idapt_pl.domains.render_process import POSES, RenderProcess
 from idapt_pl.domains.rendering import FrameRenderer
 
 SIZE = 16
@@ -72,6 +73,17 @@ def test_it_draws_several_models_in_turn(process, file, cart, model, expected, t
     np.testing.assert_array_equal(drawn(process, file, states(model, 3)), expected)
     assert (source != expected).any()
     np.testing.assert_array_equal(drawn(process, tmp_path / "other.mjb", states(other, 3)), source)
+
+
+def test_a_request_and_its_answer_may_both_be_larger_than_a_pipe_holds(process, file, model):
+    data, found = states(model, 400), []
+    assert 400 * SIZE * SIZE * 3 > 2**16 and 400 * sum(getattr(data[0], name).nbytes for name in POSES) > 2**16
+    thread = threading.Thread(target=lambda: found.append(drawn(process, file, data)), daemon=True)
+    thread.start()
+    thread.join(timeout=60)
+    if thread.is_alive():
+        os.kill(process._process.pid, signal.SIGKILL)
+    assert found and (found[0][0] != found[0][2]).any()
 
 
 def test_a_process_that_was_killed_is_told_of_and_replaced(process, file, model, expected):
