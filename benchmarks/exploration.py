@@ -4,8 +4,9 @@
 
 Plays ``random``, ``babble`` and ``rehearse`` (with the teacher of the run) in the run's source and target, on states,
 and writes ``results/exploration.csv``: the length of episodes in control steps, and how far positions move within
-them, the standard deviation over an episode, averaged over episodes and over the states that are positions of the
-joints that are driven. The same of the run's teacher where it looks: ``closed loop``.
+them, the standard deviation over an episode, averaged over episodes and over the joints that are driven. Beside them
+stand two references: the run's teacher where it looks, ``closed loop``, and actions of zero, ``nothing``. ``return`` is
+what the task would have paid; it is for these two.
 """
 
 from __future__ import annotations
@@ -33,23 +34,26 @@ def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[V
     task = grounding.worlds.task
     rehearse = lambda env: Rehearsal(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
     by_name = {name: lambda env, make=make: make(env, seed) for name, make in EXPLORATION.items()}
-    return by_name | {"rehearse": rehearse, "closed loop": lambda env: teacher.act}
+    nothing = lambda env: lambda states: np.zeros_like(env.action_space.low)  # noqa: E731
+    return by_name | {"rehearse": rehearse, "closed loop": lambda env: teacher.act, "nothing": nothing}
 
 
-def play(env: VectorStateEnv, act: Act, steps: int, seed: int) -> tuple[list[int], list[np.ndarray]]:
-    """Lengths of whole episodes, and for each the spread of the driven joints' positions."""
+def play(env: VectorStateEnv, act: Act, steps: int, seed: int) -> tuple[list[int], list[float], list[np.ndarray]]:
+    """Of whole episodes: lengths, returns, and the spread of the driven joints' positions."""
     driven = [int(env.model.jnt_qposadr[j]) for j in env.model.actuator_trnid[:, 0]]
     obs, _ = env.reset(seed=seed + 1)  # not where the rehearsal starts
-    lengths, spreads, seen = [], [], []
+    lengths, returns, spreads, seen, paid = [], [], [], [], 0.0
     for _ in range(steps):
         seen.append(env.data[0].qpos[driven].copy())
-        obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
+        obs, rewards, terminations, truncations, _ = env.step(act(obs["pixels"]))
+        paid += float(rewards[0])
         tick(act, terminations | truncations)
         if terminations[0] or truncations[0]:
             lengths.append(len(seen))
+            returns.append(paid)
             spreads.append(np.std(seen, axis=0))
-            seen = []
-    return lengths, spreads
+            seen, paid = [], 0.0
+    return lengths, returns, spreads
 
 
 def measure(run: Path, steps: int, seed: int) -> list[dict]:
@@ -60,9 +64,10 @@ def measure(run: Path, steps: int, seed: int) -> list[dict]:
         for name, make in explorers(grounding, seed).items():
             torch.manual_seed(seed)
             with closing(VectorStateEnv(worlds.task, domain, 1)) as env:
-                lengths, spreads = play(env, make(env), steps, seed)
+                lengths, returns, spreads = play(env, make(env), steps, seed)
             row = {"task": worlds.task.name, "domain": domain.name, "exploration": name, "episodes": len(lengths)}
             row |= {"length": round(np.mean(lengths), 1), "median_length": round(np.median(lengths), 1)}
+            row |= {"return": round(np.mean(returns), 1), "return_std": round(np.std(returns), 1)}
             rows.append(row | {"spread": round(float(np.mean(spreads)), 3)})
     return rows
 
@@ -71,7 +76,7 @@ def main() -> None:
     """Measure."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--runs", type=Path, nargs="+", required=True, help="folders of runs with a teacher")
-    p.add_argument("--steps", type=int, default=4000, help="control steps in each domain, by each policy")
+    p.add_argument("--steps", type=int, default=10_000, help="control steps in each domain, by each policy")
     p.add_argument("--seed", type=int, default=0)
     o = p.parse_args()
     write_table("exploration", [row for run in o.runs for row in measure(run, o.steps, o.seed)], key=("task",))
