@@ -81,7 +81,7 @@ class RenderProcess:
         raise RuntimeError(
             f"a process that renders ended with code {code}"
             f"{' (killed, perhaps for want of memory)' if code == -signal.SIGKILL else ''}; what it said is above. "
-            "A run goes on where it was when it is started again; --render_processes 0 renders in one process"
+            "A run goes on where it was when it is started again; fewer --render_processes need less memory"
         )
 
 
