@@ -175,10 +175,16 @@ class PixelStatePredictor(nn.Module):
         return (state - self.mean) / self.std
 
     def fit_scale(self, states: Float[Tensor, "n s"]) -> None:
-        """Take mean and spread from data; a component that does not vary keeps spread 1."""
+        """Take mean and spread from data; a component that does not vary keeps spread 1, and so does its rate.
+
+        Such a rate is never quite 0. In units of its spread the noise of what is read would be tens of thousands.
+        """
         self.mean.copy_(states.mean(0))
         std = states.std(0)
-        self.std.copy_(torch.where(std > 1e-6, std, torch.ones_like(std)))
+        varies = std > 1e-6
+        for rate, of in self.rates.items():
+            varies[rate] &= varies[of]
+        self.std.copy_(torch.where(varies, std, torch.ones_like(std)))
 
 
 class FrameStatePredictor(PixelStatePredictor):
