@@ -103,6 +103,17 @@ def test_rate_from_differences_is_the_derivative_of_what_the_frames_show(frames,
     torch.testing.assert_close(state, torch.tensor([[3.0, 5.0]]), rtol=1e-4, atol=1e-4)
 
 
+def test_the_rate_of_what_does_not_vary_is_no_large_number():
+    """A joint that is held moves by micrometres a second; what the net guesses differs by more between frames."""
+    net = PixelStatePredictor(PixelEncoder(32, 3, strides=(2, 2, 1, 1)), state_dim=3, hidden=(8,), rates={2: 1}, dt=0.1)
+    held = torch.stack([torch.linspace(-1, 1, 50), torch.full((50,), 0.04), 3e-6 * torch.randn(50)], 1)
+    net.fit_scale(held)
+    assert net.std[0] < 1 and net.std[1] == net.std[2] == 1.0
+    moving = torch.stack([held[:, 0], held[:, 0], 3e-6 * torch.randn(50)], 1)
+    net.fit_scale(moving)
+    assert net.std[2] < 1e-5, "where the position varies its rate counts, however small"
+
+
 def test_framewise_predictor_starts_from_the_newest_frame_and_learns_motion_from_the_others():
     """Brightness is the position; the velocity can only come from how it changes over the frames."""
     torch.manual_seed(0)
