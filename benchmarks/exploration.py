@@ -1,6 +1,7 @@
 """What do exploration policies show of a task, before there is a policy for the target?
 
-    python benchmarks/exploration.py --runs runs/walker2d_hard_0
+    python benchmarks/exploration.py --runs runs/walker2d_hard_0 runs/half_cheetah_hard_0
+    python benchmarks/exploration.py --runs runs/sawyer_push_hard_0 --steps 2000
 
 Plays ``random``, ``babble`` and ``rehearse`` (with the teacher of the run) in the run's source and target, on states,
 and writes ``results/exploration.csv``: the length of episodes in control steps, and how far positions move within
@@ -30,7 +31,7 @@ from idapt_pl.rollout import EXPLORATION, Act, tick
 
 def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[VectorStateEnv], Act]]:
     """By name, given the environment that is acted in."""
-    teacher = grounding.fit.rehearsal(seed, 1).teacher
+    teacher = grounding.fit.source_teacher()
     task = grounding.worlds.task
     rehearse = lambda env: Rehearsal(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
     by_name = {name: lambda env, make=make: make(env, seed) for name, make in EXPLORATION.items()}

@@ -136,11 +136,11 @@ class IterativeGrounding:
         return self.evaluation.summary(self.schedule.grounding_steps)
 
     def explore_source(self) -> Path:
-        """D^S: task-agnostic images and states of the source, from random actions."""
+        """D^S: images and states of the source, from exploration."""
         return self._record_source(0, self.explore, None, None, self.schedule.source_images or self.schedule.images)
 
     def explore_target(self) -> Path:
-        """D^T: task-agnostic images of the target, from random actions."""
+        """D^T: images of the target, from exploration."""
         if self.schedule.exploration == "rehearse":
             self.fit.source_teacher()  # here, so that its training is a stage and not part of the recording
         return self._record_target(0, self.explore, self.schedule.images)

@@ -14,7 +14,7 @@ from idapt_pl.domains.render_process import RenderProcess
 from idapt_pl.domains.rendering import engine_of, filament_is_used, make_renderer
 
 MOST = 3
-"""Further processes by default, at most: each takes some 400 MB, and a step has few frames to share out."""
+"""Further processes by default, at most: each takes some 300 MB, and a step has few frames to share out."""
 LIFETIME = 1500
 """Frames that a process draws before it is replaced where Filament draws, which keeps memory of every frame."""
 

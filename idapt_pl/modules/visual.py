@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-import itertools
 import pickle
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.training import ManualModule, fast_precision
 from idapt_pl.nets.contrastive import PatchProjector
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import height_width, jitter, stack_channels, to_float, to_pixels
+from idapt_pl.nets.images import height_width, jitter, mean_images, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
 SMALLEST = 24
@@ -401,16 +400,6 @@ def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, 
     given = {name: images for name, images in parts.items() if images is not None}
     out = net(torch.cat(list(given.values()))).split([len(images) for images in given.values()])
     return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
-
-
-def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
-    """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
-    sums: dict[str, list[Tensor]] = {"source": [], "target": []}
-    for batch in itertools.islice(batches, most):
-        batch = batch[0] if isinstance(batch, tuple) else batch  # Lightning's CombinedLoader gives indices too
-        for domain, seen in sums.items():
-            seen.append(stack_channels(batch[domain]["pixels"][:, -frames:]).mean(0))
-    return {domain: torch.stack(seen).mean(0) for domain, seen in sums.items()}
 
 
 @torch.no_grad()

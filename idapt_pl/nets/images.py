@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 
 import torch
 from jaxtyping import Float, Shaped, UInt8
@@ -57,3 +58,13 @@ def jitter(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "
     gain, offset = (2 * torch.rand(2, b, c, 1, 1, device=images.device) - 1) * strength
     noise = torch.randn_like(images) * torch.rand(b, 1, 1, 1, device=images.device) * strength / 5
     return images * (1 + gain) + offset / 2 + noise
+
+
+def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
+    """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
+    sums: dict[str, list[Tensor]] = {"source": [], "target": []}
+    for batch in itertools.islice(batches, most):
+        batch = batch[0] if isinstance(batch, tuple) else batch  # Lightning's CombinedLoader gives indices too
+        for domain, seen in sums.items():
+            seen.append(stack_channels(batch[domain]["pixels"][:, -frames:]).mean(0))
+    return {domain: torch.stack(seen).mean(0) for domain, seen in sums.items()}
