@@ -4,7 +4,8 @@
     python benchmarks/quick.py --config fetch_quick --seeds 0
 
 Runs ``idapt fit`` with a quick config for every seed (finished runs are not repeated) and writes
-results/<config>.csv: direct transfer, visual grounding alone and every grounding step stand side by side.
+results/<config>.csv: direct transfer, visual grounding alone and every grounding step stand side by side. ``minutes``
+are of a run on ``threads`` threads.
 Failures stay in the table. An ablation gets rows of its own:
 
     python benchmarks/quick.py --seeds 3 --method "no resets" --visual.reset_weight 0
@@ -34,6 +35,7 @@ FIELDS = (
     "psnr",
     "target_interactions",
     "minutes",
+    "threads",
     "commit",
     "cpu",
 )
@@ -74,6 +76,7 @@ def rows(folder: Path, method: str) -> list[dict]:
         "metric": summary["metric"],
         "commit": provenance["git_commit"],
         "cpu": provenance["cpu"],
+        "threads": provenance["cpu_threads"],
         "target_interactions": summary["target_interactions"],
         "minutes": round(summary["wall_s"] / 60, 1),
     }

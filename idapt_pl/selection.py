@@ -4,7 +4,8 @@ A policy is rolled out in the grounded source with the one F and with the other,
 compared with those it made in the target and that neither F was fitted to. The features f are those of the
 policy's encoder, so this works for every task. The distance is the energy distance of (f, a, u), u what f' differs by
 from a linear law of the target: most of a change follows from f alone, and would hide what the actions do. Whole pieces
-of recordings are drawn again (bootstrap), since transitions within one go together.
+of recordings are drawn again (bootstrap), since transitions within one go together; of the grounded source, where
+there is no shortage, whole episodes of several rollouts.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
-from idapt_pl.residual import grounded_stacks, transitions
+from idapt_pl.residual import ROLLOUTS, grounded_rollouts, transitions
 from idapt_pl.worlds import Worlds
 
 DRAWS = 2000
@@ -33,7 +34,7 @@ class Sample:
 
     Attributes:
         values: standardised (f, a, u), (n, 2d + nu).
-        piece: number of each one's piece, 0 to p - 1, (n,).
+        piece: number of each one's piece (or episode), 0 to p - 1, (n,).
     """
 
     values: torch.Tensor
@@ -94,16 +95,14 @@ def compare(
         how much was held out, ``held_out_pieces`` and ``held_out_steps``.
     """
 
-    def recorded(stacks: FrameStacks) -> tuple[torch.Tensor, np.ndarray]:
-        return transitions(stacks, F), pieces(stacks)[stacks.transitions]
-
     def grounded(transform: ActionTransformation | None) -> Sample:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)  # the same draws of the policy for both
-            values, piece = recorded(grounded_stacks(worlds, policy, G, transform, len(out), seed))
-        return Sample(describe(values), piece)
+        rollouts = grounded_rollouts(worlds, policy, G, transform, len(out), ROLLOUTS, seed)
+        begins = [(i, first) for i, r in enumerate(rollouts) for first in r.first[r.transitions]]
+        episode = np.unique(begins, axis=0, return_inverse=True)[1].ravel()
+        return Sample(describe(torch.cat([transitions(r, F) for r in rollouts])), episode)
 
-    values, piece = recorded(FrameStacks(read_all([target]), worlds.frame_stack))
+    stacks = FrameStacks(read_all([target]), worlds.frame_stack)
+    values, piece = transitions(stacks, F), pieces(stacks)[stacks.transitions]
     out = held_out(piece)
     if len(np.unique(piece[out])) < 2:
         raise ValueError(f"schedule.rollback needs at least 10 target interactions in a grounding step, got {len(out)}")

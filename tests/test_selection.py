@@ -19,7 +19,7 @@ from datamodules.stacks import FrameStacks
 from idapt_pl.domains import effect_from_dict
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation
-from idapt_pl.residual import energy_distance, half
+from idapt_pl.residual import energy_distance, half, residual
 from idapt_pl.rollout import collect
 from idapt_pl.selection import Sample, compare, in_words, judge, surprise
 from idapt_pl.worlds import Worlds
@@ -186,6 +186,15 @@ def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
     assert "kept" in in_words(better)
 
 
+def test_the_residual_is_the_same_for_the_identity_and_falls_beyond_its_spread_for_what_is_right(worlds, tmp_path):
+    def measured(F):
+        return residual(worlds, Centering(), None, F, [tmp_path / "target.h5"], 3)
+
+    same, right = measured(make_F()), measured(make_F(gain=0.5))
+    assert same["before"] == same["after"] and same["before_std"] == same["after_std"], str(same)
+    assert right["after"] + 2 * right["after_std"] < right["before"] - 2 * right["before_std"], str(right)
+
+
 # --- the firewall ---------------------------------------------------------------------------------------
 
 
@@ -212,7 +221,7 @@ def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
         if isinstance(node, ast.Constant) and node not in docstrings:
             used.add(node.value)
     words = {w for text in used if isinstance(text, str) for w in text.split(".")}
-    assert {"grounded_stacks", "transitions"} <= words, "the check sees nothing"
+    assert {"grounded_rollouts", "transitions"} <= words, "the check sees nothing"
     forbidden = {"rewarded_target", "blind_target", "rewards", "state", "evaluate", "evaluation", "target_return"}
     assert not words & forbidden
 

@@ -163,6 +163,12 @@ def step_section(record: Record, step: Step, metric: str, grounding: IterativeGr
     return made.replace("<section>", '<section class="rolled">') if step.selection.get("rolled_back") else made
 
 
+def spread(residual: dict, key: str) -> str:
+    """An energy distance and, where it was measured on several rollouts, their standard deviation."""
+    std = residual.get(f"{key}_std")
+    return number(residual[key]) + (f" ± {number(std)}" if std is not None else "")
+
+
 def story(record: Record, step: Step, metric: str) -> list[str]:
     """What happened in a step, in sentences."""
     told = []
@@ -176,9 +182,9 @@ def story(record: Record, step: Step, metric: str) -> list[str]:
     if residual := step.evaluation.get("residual"):
         which = "the F that was gone back to" if step.selection.get("rolled_back") else "F"
         told.append(
-            f"With {which}, the grounded source moves {number(residual['after'])} away from the target, without it "
-            f"{number(residual['before'])}; two halves of the target's own data are {number(residual['noise_floor'])} "
-            "apart (energy distance of transitions)."
+            f"With {which}, the grounded source moves {spread(residual, 'after')} away from the target, without it "
+            f"{spread(residual, 'before')}; two halves of the target's own data are {number(residual['noise_floor'])} "
+            "apart (energy distance of transitions, ± the standard deviation over rollouts)."
         )
     psnr = step.evaluation["translation"]["psnr"]
     told[0] += f" What G draws is {number(psnr)} dB (PSNR) from the target's image of the same state."
@@ -274,7 +280,7 @@ def numbers(step: Step, metric: str) -> str:
             rows.append(row(f"state error, {what}", "#" + ", ".join(map(number, t[key])), "mean absolute, each"))
     for key, what in {"before": "without F", "after": "with F", "noise_floor": "halves of the target's data"}.items():
         if "residual" in step.evaluation:
-            rows.append(row(f"residual, {what}", f"#{number(step.evaluation['residual'][key])}", "energy distance"))
+            rows.append(row(f"residual, {what}", f"#{spread(step.evaluation['residual'], key)}", "energy distance"))
     every = step.evaluation["target"]["successes"] or step.evaluation["target"]["returns"]
     rows.append(row(f"{metric} in the target, worst and best episode", f"#{min(every):g} to {max(every):g}", ""))
     note = paragraph("For evaluation only, with source and target put into the same states.", "small")
