@@ -59,9 +59,9 @@ class Schedule:
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
         accumulate: train P^S and G on all data so far; else on the newest alone.
-        rollback: go on with the F and the policy of the step before where the new F makes the grounded source clearly
-            less like the target, by a fifth of the target's images and actions that it was not fitted to. No reward
-            of the target takes part.
+        rollback: go on with the F of the step before where the new one makes the grounded source clearly less like the
+            target, by a fifth of the target's images and actions that it was not fitted to. No reward of the target
+            takes part.
     """
 
     grounding_steps: int = 5
@@ -127,10 +127,9 @@ class IterativeGrounding:
             if self.schedule.action_transformation:
                 hold_out = self.schedule.rollback
                 F = self.fit.dynamics(k, self.for_dynamics(D_T), finetune.dynamics, pi, G, F, self.explore, hold_out)
-            if self.makes_it_worse(k, pi_online, G, F, F_before, D_T[-1]):
-                F, pi = F_before, pi_online
-            else:
-                pi = self.fit.grounded_policy(k, finetune.policy, G, F, pi)
+                if self.makes_it_worse(k, pi_online, G, F, F_before, D_T[-1]):
+                    F = F_before
+            pi = self.fit.grounded_policy(k, finetune.policy, G, F, pi)
             self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)
 
         return self.evaluation.summary(self.schedule.grounding_steps)
@@ -183,7 +182,7 @@ class IterativeGrounding:
 
     def makes_it_worse(self, k: int, pi, G, F, F_before, D_T: Path) -> bool:
         """Whether the target's images and actions that were held out of F say that it is clearly worse than before."""
-        if not self.schedule.rollback or F is F_before:
+        if not self.schedule.rollback:
             return False
         decision = self.stages.measure(k, "selection", lambda seed: compare(self.worlds, pi, G, F, F_before, D_T, seed))
         log.info("step %d  %s", k, in_words(decision))

@@ -17,6 +17,7 @@ from datamodules.on_policy import target_transitions
 from datamodules.pieces import EVERY, LONGEST, held_out, pieces
 from datamodules.stacks import FrameStacks
 from idapt_pl.domains import effect_from_dict
+from idapt_pl.fitting import Fitting
 from idapt_pl.ledger import Ledger
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.residual import energy_distance, half, residual
@@ -229,10 +230,10 @@ def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
 # --- in Algorithm 1 -------------------------------------------------------------------------------------
 
 
-def test_a_step_that_is_rolled_back_leaves_no_policy_and_a_resumed_run_repeats_the_decision(
+def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repeats_the_decision(
     tiny_args, finished_run, tmp_path, monkeypatch
 ):
-    run, seen, policies = tmp_path / "run", [], []
+    run, seen, policies, trained_with = tmp_path / "run", [], [], []
 
     def worse(worlds, pi, G, F, F_before, target, seed):
         seen.append((F_before, target))
@@ -240,16 +241,22 @@ def test_a_step_that_is_rolled_back_leaves_no_policy_and_a_resumed_run_repeats_t
         real = compare(worlds, pi, G, F, F_before, target, seed)
         return real | {"rolled_back": len(seen) == 1}  # the first step is, the second is not
 
+    def watched(self, step, steps, G, F, initial):
+        trained_with.append(F is not None)
+        return grounded_policy(self, step, steps, G, F, initial)
+
+    grounded_policy = Fitting.grounded_policy
+    monkeypatch.setattr(Fitting, "grounded_policy", watched)
     monkeypatch.setattr("idapt_pl.grounding.compare", worse)
     shutil.copytree(finished_run / "step_00", run / "step_00")
     assert main(["fit", *tiny_args(run, schedule__rollback="true")]) == 0
-    assert not (run / "step_01/policy").exists() and (run / "step_02/policy/final.ckpt").exists()
+    assert trained_with == [False, False, True]
     assert (run / "step_01/dynamics/final.ckpt").exists(), "what was tried is kept for a look at it"
     assert [p.parent.name for _, p in seen] == ["step_01", "step_02"]
     assert [f for f, _ in seen] == [None, None], "the second F is compared with what was gone back to"
-    kept = torch.load(run / "step_00/policy/final.ckpt", weights_only=True)["state_dict"]
-    for policy in policies:  # also its encoder, which the estimator of step 1 had changed
-        assert all(torch.equal(v, kept[k]) for k, v in policy.state_dict().items())
+    for k, policy in enumerate(policies):  # that made the recordings, before the step's estimator changed its encoder
+        kept = torch.load(run / f"step_0{k}/policy/final.ckpt", weights_only=True)["state_dict"]
+        assert all(torch.equal(v, kept[name]) for name, v in policy.state_dict().items())
     summary = json.loads((run / "summary.json").read_text())
     assert summary["rolled_back"] == [1] and len(summary["grounded"]) == TINY["schedule.grounding_steps"]
 

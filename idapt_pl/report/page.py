@@ -196,8 +196,6 @@ def story(record: Record, step: Step, metric: str) -> list[str]:
         )
     if step.selection:
         told.append(in_words(step.selection) + ".")
-    if step.selection.get("rolled_back"):
-        told.append("The policy was therefore not trained in this step; the step before goes on.")
     return told
 
 
