@@ -134,9 +134,9 @@ def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpe
     domain, sensor = worlds.source_domain, Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
     run = grounding.stages.run_dir  # the sensor was not fitted to the control, where the run has one
     newest = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
-    model = domain.compile()
-    readings = read_calibrated(sensor, model, [data], [newest], load_visual(grounding))
-    how = {"noise": readings.calibration.noise(model, worlds.task.unseen), "unmeasured": worlds.task.unseen}
+    readings = read_calibrated(sensor, domain, [data], [newest], load_visual(grounding), grounding.stages.seed)
+    noise = readings.calibration.noise(domain.compile(), worlds.task.unseen)
+    how = {"noise": noise, "unmeasured": readings.unmeasured}
     return domain.spec(), readings.target, how
 
 

@@ -131,21 +131,21 @@ def discover(
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
         ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
-        degree of freedom, whether it is too ``vague`` for anything to be believed, the ``unknown_gain`` that intervals
-        allow for, and the shares of frames left ``unread``; the error ``before`` and ``after``, in units of the
-        sensor's noise, and that of the channels of ``target`` and ``control``.
+        degree of freedom, whether its velocities are ``smoothed`` (learned from simulations), the ``unknown_gain`` that
+        intervals allow for, and the shares of frames left ``unread``; the error ``before`` and ``after``, in units of
+        the sensor's noise, and that of the channels of ``target`` and ``control``.
     """
     model = source.compile()
     settings = Settings(max_effects=options.max_effects)
 
-    readings = read_calibrated(sensor, model, target, control, G)
+    readings = read_calibrated(sensor, source, target, control, G, seed)
     read, calibration = (readings.target, readings.control), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
     seen, checked = (
         diagnose(
             source.spec(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings,
-            unmeasured=task.unseen, noise=calibration.noise(model, task.unseen),
+            unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen),
         )
         for d in read
     )  # fmt: skip
@@ -154,9 +154,7 @@ def discover(
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     gone, made_up_share = (removed(d.report["error"]) for d in (seen, checked))
-    if calibration.vague:
-        log.warning("how fast things move cannot be told from the images: what is found in them is not believed")
-    trusted = not calibration.vague and believable(excess, explained, gone, made_up_share)
+    trusted = believable(excess, explained, gone, made_up_share)
     real = {(e["effect"], e["target"]) for e in estimates if trusted and not shown_by(e, made_up)}
     believed = [e for e in found if (e.name, e.target) in real]
     for e in estimates:
@@ -171,7 +169,7 @@ def discover(
         "removed": {"target": gone, "control": made_up_share},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
-        "vague": calibration.vague,
+        "smoothed": calibration.smoothed,
         "unknown_gain": GAIN,
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],

@@ -15,10 +15,12 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.data import difference, slopes
 from idapt_pl.diagnosis.statistics import Noise
+from idapt_pl.domains import Domain
 from idapt_pl.domains.paths import SensorGain
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.tasks import Task
+from idapt_pl.velocities import VelocityReader, learn_velocities
 
 GAIN = 0.05
 """Standard deviation of what is read of a joint's motion over what it is, on target images.
@@ -30,8 +32,8 @@ ONE_NUMBER = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoin
 """Kinds of joints that one number places."""
 VAGUE = 1 / 3
 """Share of the spread of speeds above which errors of speeds say that most of what is read is what is likely in the
-source. It is then no evidence against the source: an armature makes it look like friction. Nor is anything believed
-that such a sensor finds by positions alone. The pendulum's are at 0.13, HalfCheetah's at 0.5 to 0.9."""
+source. It is then no evidence against the source: an armature makes it look like friction. The pendulum's are at 0.13,
+HalfCheetah's at 0.3 to 0.9."""
 FAMILIAR = 3.5
 """Spreads from the mean of the source's positions; further out there was hardly a frame to learn from."""
 
@@ -80,6 +82,8 @@ class Calibration:
         speed: no error: the velocities themselves.
         bias: mean error of positions, m or rad. Part of ``position``; not taken off, as the target's is another.
         lag: by how much positions trail the motion, s; likewise.
+        smoothed: velocities are not the sensor's but of :mod:`idapt_pl.velocities`: windows begin with them, and they
+            are not compared, being made of the positions that are.
     """
 
     position: np.ndarray
@@ -88,25 +92,26 @@ class Calibration:
     speed: np.ndarray
     bias: np.ndarray
     lag: np.ndarray
+    smoothed: bool = False
 
     @property
     def vague(self) -> bool:
-        """Whether how fast most joints move cannot be told, neither as read nor from slopes of positions."""
+        """Whether a sensor cannot tell how fast most joints move, neither as read nor from slopes of positions."""
         best = np.minimum(self.velocity, self.slope)
-        return bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VAGUE)
+        return not self.smoothed and bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VAGUE)
 
     @property
     def reads_velocities(self) -> bool:
         """Whether velocities as read are near the truth, and nearer than slopes of positions, for most joints."""
         better = np.median(self.velocity / np.maximum(self.slope, 1e-12)) < 1.0
-        return bool(better) and not self.vague
+        return bool(better) and not self.vague and not self.smoothed
 
     def noise(self, model: mujoco.MjModel, unseen: Sequence[str]) -> Noise:
         """The errors as noise of what is compared, and of the states that windows begin with; gains are unknown."""
         told = np.flatnonzero(np.isin(model.jnt_type, ONE_NUMBER))
         names = (model.joint(j).name for j in told)
         gains = tuple(SensorGain(name, 1 + GAIN) for name in names if name not in unseen)
-        if self.reads_velocities:
+        if self.reads_velocities or self.smoothed:
             both = np.concatenate([self.position, self.velocity])
             return Noise(both, both, gains)
         return Noise(self.position, np.concatenate([self.position, self.slope]), gains)
@@ -119,17 +124,17 @@ class Calibration:
             blank = hidden if name in ("position", "bias", "lag") else ()
             return [None if i in blank else round(float(e), 5) for i, e in enumerate(errors)]
 
-        return {name: told(name, errors) for name, errors in vars(self).items()}
+        return {name: told(name, errors) for name, errors in vars(self).items() if name != "smoothed"}
 
 
-def compared(read: Trajectories, calibration: Calibration) -> Trajectories:
-    """What is compared of what a sensor read: positions, and velocities where they are read well."""
-    names = ("qpos", "qvel") if calibration.reads_velocities else ("qpos",)
+def used(read: Trajectories, calibration: Calibration) -> Trajectories:
+    """What is used of what a sensor read: positions, and velocities where they are read well or smoothed."""
+    names = ("qpos", "qvel") if calibration.reads_velocities or calibration.smoothed else ("qpos",)
     episodes = tuple(replace(e, observations={n: e.observations[n] for n in names}) for e in read)
     return replace(read, episodes=episodes)
 
 
-def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories) -> Calibration:
+def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories, smoothed: bool = False) -> Calibration:
     """The errors of what a sensor read from source images, whose states are known."""
     errors, speeds = [], []
     for episode in read:
@@ -143,7 +148,17 @@ def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories) -> Calibrat
     about = speed - speed.mean(0)
     lag = -(about * position).mean(0) / np.maximum(np.square(about).mean(0), 1e-12)
     sizes = (np.sqrt(np.square(e).mean(0)) for e in (position, velocity, slope, speed))
-    return Calibration(*sizes, position.mean(0), lag)
+    return Calibration(*sizes, position.mean(0), lag, smoothed)
+
+
+def typical_errors(task: Task, model: mujoco.MjModel, read: Trajectories) -> np.ndarray:
+    """The size of most errors of positions on source images, outliers apart, (nv,)."""
+    errors = []
+    for episode in read:
+        qpos, _ = task.motion(np.asarray(episode.observations["state"], float), read.dt)
+        errors.append(difference(model, qpos, episode.observations["qpos"]))
+    error = np.concatenate(errors)
+    return 1.4826 * np.median(np.abs(error - np.median(error, 0)), 0)
 
 
 @dataclass(frozen=True)
@@ -151,35 +166,57 @@ class Readings:
     """What a calibrated sensor read.
 
     Attributes:
-        target: positions, and velocities where they are read well (:attr:`Calibration.reads_velocities`).
+        target: positions, and velocities where they are read well (:attr:`Calibration.reads_velocities`) or smoothed.
         control: likewise, of the source.
         calibration: on the control.
         unread: shares of the frames that were left out, ``target`` and ``control``.
+        unmeasured: channels that nothing is judged by (``unmeasured`` of :func:`~idapt_pl.diagnosis.diagnose`).
     """
 
     target: Trajectories
     control: Trajectories
     calibration: Calibration
     unread: dict[str, float]
+    unmeasured: tuple[str, ...]
 
 
 def read_calibrated(
-    sensor: Sensor, model: mujoco.MjModel, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation
+    sensor: Sensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation, seed: int
 ) -> Readings:
     """Read recordings of the target, and learn from the source's how far that is off.
 
+    Where the sensor cannot tell how fast things move, velocities are learned from simulations
+    (:mod:`idapt_pl.velocities`).
+
     Args:
         sensor: reads target images.
-        model: of the source.
+        source: the domain that it knows.
         target: trajectory files; images and actions are all that is used.
         control: trajectory files of the source with images and states; best such that the sensor was not fitted to.
         G: shows source images as target images.
+        seed: of those simulations.
     """
+    task, model = sensor.task, source.compile()
     given = {"target": sensor.read(target), "control": sensor.read(control, G)}
-    kept = {k: readable(sensor.task, model, read, given["control"]) for k, read in given.items()}
+    kept = {k: readable(task, model, read, given["control"]) for k, read in given.items()}
     unread = {k: 1 - sum(len(e) + 1 for e in kept[k]) / sum(len(e) + 1 for e in given[k]) for k in given}
-    calibration = calibrate(sensor.task, model, kept["control"])
-    return Readings(*(compared(kept[k], calibration) for k in given), calibration, unread)
+    calibration, unmeasured = calibrate(task, model, kept["control"]), tuple(task.unseen)
+    if calibration.vague:
+        commands = [e.actions for read in given.values() for e in read]
+        reader = learn_velocities(task, source, commands, typical_errors(task, model, kept["control"]), seed)
+        kept = {k: smoothed(read, reader) for k, read in kept.items()}
+        calibration = calibrate(task, model, kept["control"], smoothed=True)
+        unmeasured += tuple(f"{model.joint(j).name} velocity" for j in range(model.njnt))
+    return Readings(*(used(kept[k], calibration) for k in given), calibration, unread, unmeasured)
+
+
+def smoothed(read: Trajectories, reader: VelocityReader) -> Trajectories:
+    """What a sensor read, with the velocities that positions and commands tell."""
+
+    def episode(e: Episode) -> Episode:
+        return replace(e, observations=e.observations | {"qvel": reader.read(e.observations["qpos"], e.actions)})
+
+    return replace(read, episodes=tuple(episode(e) for e in read))
 
 
 def readable(task: Task, model: mujoco.MjModel, read: Trajectories, known: Trajectories) -> Trajectories:

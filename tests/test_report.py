@@ -138,7 +138,7 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     hinge = {"noise": 0.0123, "before": 0.456, "after": 0.0135, "unit": "rad"}
     effects |= {"before": 17.5, "after": 1.04, "excess": 25.0, "target": {"hinge position": hinge}}
     effects["control"] = {"hinge position": hinge | {"before": 0.0182}}
-    effects |= {"unread": {"target": 0.0125, "control": 0.0}, "unknown_gain": 0.05, "vague": True}
+    effects |= {"unread": {"target": 0.0125, "control": 0.0}, "unknown_gain": 0.05, "smoothed": True}
     (copied / "step_01/selection.json").write_text(json.dumps(decision))
     (copied / "step_02/effects.json").write_text(json.dumps(effects))
     (copied / "step_00/oracle_evaluation.json").write_text(json.dumps({"mean": 987.0, "std": 1.0}))

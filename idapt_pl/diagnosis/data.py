@@ -70,10 +70,10 @@ class Windows:
         return Windows(self.episode[rows], self.start[rows], self.offsets)
 
 
-def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recording], bool]:
+def recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = True) -> tuple[list[Recording], bool]:
     """Episodes as recordings, and whether velocities were measured (else they are slopes of the positions).
 
-    Velocities that come late, as from filters or slow registers, count as not measured.
+    Velocities that come late, as from filters or slow registers, count as not measured (unless not ``may_lag``).
 
     Takes ``qpos`` and ``qvel``, or a ``state`` that is the two of them one after the other.
 
@@ -119,7 +119,7 @@ def recordings(model: mujoco.MjModel, data: Trajectories) -> tuple[list[Recordin
     if not measured:
         return sloped, False
     shown = [replace(r, qvel=np.asarray(v, float)) for r, (*_, v, _) in zip(sloped, made, strict=True)]
-    late = lateness(shown, sloped)
+    late = lateness(shown, sloped) if may_lag else 0.0
     if late > LATE * np.median(np.concatenate([np.diff(r.time) for r in shown])):
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return sloped, False

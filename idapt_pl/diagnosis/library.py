@@ -23,6 +23,12 @@ SENSOR_GAIN = ((0.8, 1.25),)
 """Position sensors are off by per cents; a larger scale imitates inertia and gravity."""
 
 
+FURTHER = {physics.JointFrictionloss: (0.3, 1.0, 3.0, 10.0, 30.0), physics.JointArmature: (0.3, 1.0, 3.0)}
+"""Where fits of joints' effects start too, in scales from nominal. What sticks shows little of a small change;
+and where first velocities are poorly known, a little more rotor inertia makes things worse before much more mends
+them."""
+
+
 @dataclass(frozen=True)
 class Candidate:
     """One effect with its free parameters; a vector x of them makes an :class:`Effect`.
@@ -175,10 +181,7 @@ def _joints(model: mujoco.MjModel, a: Surroundings) -> list[Candidate]:
         for j in hinges:
             v = model.jnt_dofadr[j]
             n, s = float(nominal(v)), float(scale(v))
-            # what sticks shows little of a small change: dry friction needs larger ones to start from
-            starts = (
-                tuple((n + f * s,) for f in (0.3, 1.0, 3.0, 10.0, 30.0)) if kind is physics.JointFrictionloss else ()
-            )
+            starts = tuple((n + f * s,) for f in FURTHER.get(kind, ()))
             singles.append(Candidate(kind, model.joint(j).name, (parameter,), (n,), (s,), starts))
         of_motors = [c for c in singles if c.target in names_driven]  # the joints of a free base are of another kind
         found += singles + (_shared(singles) or _shared(of_motors, physics.ACTUATED))

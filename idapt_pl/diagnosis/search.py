@@ -73,7 +73,8 @@ def diagnose(
         progress: told what is being done.
         threads: for simulating; default all cores.
         unmeasured: joints whose positions in the recordings are made up: nothing is judged by them. The model's motion
-            must not depend on where they are, only on how fast they move.
+            must not depend on where they are, only on how fast they move. Or ``"<joint> velocity"``, with which
+            windows only begin.
         noise: of the sensors, where it is known; default is to estimate it from the recordings.
 
     Raises:
@@ -100,7 +101,7 @@ def begin(
 ) -> Search:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
     model = name_elements(model.copy())
-    data, velocities = recordings(model.copy().compile(), trajectories)
+    data, velocities = recordings(model.copy().compile(), trajectories, may_lag=noise is None)
     fit, hold_out = split_episodes(activity(data), fit, hold_out)
     sim = Simulator(model, data, velocities, threads, unmeasured)
 

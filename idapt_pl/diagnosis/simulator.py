@@ -55,7 +55,8 @@ class Simulator:
         data: the recordings.
         velocities: compare velocities too (they were measured); else positions alone.
         threads: for stepping; default all cores.
-        unmeasured: names of joints that are not compared: their recordings only say where to begin.
+        unmeasured: names of joints, or ``"<joint> velocity"``, that are not compared: their recordings only say where
+            to begin.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class Simulator:
         self.spec, self.data, self.velocities = spec, data, velocities
         self.model = spec.copy().compile()
         self.threads = threads or os.cpu_count() or 1
-        self.compared = np.array([n.split(" velocity")[0] not in unmeasured for n in self.channels])
+        self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
         self.calls = 0
         self._commands: dict = {}
         self._samples: dict = {}

@@ -60,13 +60,13 @@ def channels(effects: dict) -> str:
     left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
     gain = effects.get("unknown_gain")
     allowed = f" Intervals allow for readings that are {number(100 * gain)} % too large or small." if gain else ""
-    vague = " How fast things move cannot be told from these images, so nothing found in them is believed."
+    smoothed = " How fast things move cannot be told from these images; it was learned from simulations."
     told = paragraph(
         "Root mean square errors. The sensor is what estimates states from images; its error is measured on images of "
         "the source, as G shows them, whose states are known. Control: the source replays these, before any effect."
         + left_out
         + allowed
-        + vague * effects.get("vague", False),
+        + smoothed * effects.get("smoothed", False),
         "small",
     )
     title = "Channel by channel, and how well the images are read"
