@@ -5,7 +5,8 @@
 For each seed and number of exploratory target interactions a quick config is run twice, with ``--effects.discover``
 false and true. The second run takes over what both have in common, everything up to the first search
 for effects, so that they differ in nothing else. Writes results/curves.csv, a row a policy: the target interactions up
-to then (training only), its return in the target, and which effects had been added to the source.
+to then (training only), its return in the target, and which effects had been added to the source; and the figure
+results/curves.png, a panel a config.
 """
 
 from __future__ import annotations
@@ -13,10 +14,16 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
 from quick import ROOT, run
-from tables import replace_rows
+from tables import read_rows, replace_rows
+
+from idapt_pl.diagnosis.figures import AFTER, BEFORE, STYLE
 
 COMMON = ("target", "source", "state_predictor", "source_policy", "source_teacher", "source_student", "visual",
           "translated", "estimator", "direct_transfer")  # fmt: skip
@@ -70,8 +77,35 @@ def training_entries(folder: Path) -> list[dict]:
     return [e for e in entries if e["purpose"] == "training"]
 
 
+def curves(table: Sequence[dict[str, str]], config: str, method: str) -> dict[str, list[np.ndarray]]:
+    """Target interactions and returns of every run, (policies, 2) each, by exploratory interactions."""
+    found: dict[str, dict[str, list]] = {}
+    for row in table:
+        if (row["config"], row["method"]) == (config, method):
+            point = int(row["target_interactions"]), float(row["mean"])
+            found.setdefault(row["images"], {}).setdefault(row["seed"], []).append(point)
+    return {images: [np.array(c) for c in seeds.values()] for images, seeds in found.items()}
+
+
+def draw(table: Sequence[dict[str, str]], path: Path) -> None:
+    """Return in the target against target interactions: each seed, thin, and their mean; a panel a config."""
+    configs = dict.fromkeys(row["config"] for row in table)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(4.4 * len(configs), 3.4), layout="constrained")
+        for axis, config in zip(figure.subplots(1, len(configs), squeeze=False)[0], configs, strict=True):
+            for method, colour in (("without", BEFORE), ("with effects", AFTER)):
+                for seeds in curves(table, config, method).values():
+                    for one in seeds:
+                        axis.plot(*one.T, color=colour, lw=0.7, alpha=0.5)
+                    label = f"{method}, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
+                    axis.plot(*np.mean(seeds, 0).T, color=colour, marker="o", ms=5, lw=2, label=label)
+            axis.set(title=config, xlabel="target interactions for training", ylabel="return in the target")
+            axis.legend(frameon=False, fontsize=9)
+        figure.savefig(path, dpi=110)
+
+
 def main() -> None:
-    """Run what is missing and keep the table."""
+    """Run what is missing, keep the table and draw it."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--config", default="pendulum_quick", help="name of a file in configs/, without .yaml")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
@@ -88,6 +122,7 @@ def main() -> None:
             take_over(plain, ROOT / f"runs/{name}_effects_{seed}")
             repaired = run(config, seed, [*settings, "true"], f"{name}_effects")
             replace_rows(o.out, rows(repaired, about | {"method": "with effects"}), KEY)
+    draw(read_rows(o.out), o.out.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
 import quick
+import yaml
 from tables import replace_rows
 
 from cli.provenance import git_commit
@@ -66,8 +67,9 @@ CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
 }
 NO_MORE_THAN_THE_SENSOR = (
     "--effects.discover", "false", "--schedule.grounding_steps", "0", "--schedule.source_policy", "0",
-    "--schedule.pretrain.policy", "0", "--teacher.steps", "0", "--teacher.dagger", "0",
+    "--schedule.pretrain.policy", "0",
 )  # fmt: skip
+NO_TEACHER = ("--teacher.steps", "0", "--teacher.dagger", "0")
 TARGET, TRANSLATED = "target", "source through G"
 KEY = ("config", "looks", "case", "seed")
 FIELDS = (
@@ -115,8 +117,10 @@ def painted(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequence[str]) -> Path:
     """The folder of a quick run that ends where effects would first be looked for."""
     name = "_".join(filter(None, ("sensor", config, "" if target == "hard" else target, settings)))
-    extra = ["--target", target, *NO_MORE_THAN_THE_SENSOR, *extra]
-    return quick.run(ROOT / f"configs/{config}.yaml", seed, extra, name)
+    path = ROOT / f"configs/{config}.yaml"
+    rehearses = yaml.safe_load(path.read_text()).get("schedule", {}).get("exploration") == "rehearse"
+    teacher = () if rehearses else NO_TEACHER
+    return quick.run(path, seed, ["--target", target, *NO_MORE_THAN_THE_SENSOR, *teacher, *extra], name)
 
 
 def record(grounding: IterativeGrounding, domain: Domain, path: Path, steps: int, seed: int) -> None:

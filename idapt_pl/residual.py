@@ -18,8 +18,7 @@ from idapt_pl.rollout import collect
 from idapt_pl.worlds import Worlds
 
 ROLLOUTS = 3
-"""With each F. One alone says little: four of the same policy, without F, were 1.3, 1.4, 1.5 and 3.0 from the target on
-HalfCheetah, where each is a single long episode."""
+"""With each F. One alone says little where it is a single long episode (``results/residuals.csv``)."""
 
 
 def energy_distance(x: Tensor, y: Tensor) -> float:
@@ -56,6 +55,31 @@ def half(lengths: Sequence[int]) -> np.ndarray:
     return np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
 
 
+def distances(
+    worlds: Worlds,
+    policy: AsymmetricSAC,
+    G: VisualTransformation,
+    F: ActionTransformation,
+    target: Sequence[Path],
+    seed: int,
+    rollouts: int = ROLLOUTS,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Energy distances of grounded transitions to the target's: before F, after F (one a rollout each), and the floor.
+
+    Rollouts are as long as the target's recordings. The floor is what sampling alone gives: the distance between every
+    other episode of the target's and the rest, or between the halves of a single one.
+    """
+    trajectories = read_all(target)
+    real = transitions(FrameStacks(trajectories, worlds.frame_stack), F)
+
+    def far(transform: ActionTransformation | None) -> np.ndarray:
+        played = grounded_rollouts(worlds, policy, G, transform, len(real), rollouts, seed)
+        return np.array([energy_distance(transitions(r, F), real) for r in played])
+
+    one_half = half([len(e) for e in trajectories])
+    return far(None), far(F), energy_distance(real[one_half], real[~one_half])
+
+
 def residual(
     worlds: Worlds,
     policy: AsymmetricSAC,
@@ -66,20 +90,11 @@ def residual(
 ) -> dict[str, float]:
     """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
 
-    Energy distance on standardised features: mean and standard deviation over rollouts as long as the target's. The
-    floor is what sampling alone gives: the distance between every other episode of the target's and the rest, or
-    between the halves of a single one. The target's images and actions are all it uses.
+    Energy distance on standardised features: mean and standard deviation over rollouts (:func:`distances`). The
+    target's images and actions are all it uses.
     """
-
-    def distances(transform: ActionTransformation | None) -> np.ndarray:
-        rollouts = grounded_rollouts(worlds, policy, G, transform, len(real), ROLLOUTS, seed)
-        return np.array([energy_distance(transitions(r, F), real) for r in rollouts])
-
-    trajectories = read_all(target)
-    real = transitions(FrameStacks(trajectories, worlds.frame_stack), F)
-    one_half = half([len(e) for e in trajectories])
-    found = {"noise_floor": energy_distance(real[one_half], real[~one_half])}
-    for name, transform in {"before": None, "after": F}.items():
-        far = distances(transform)
+    before, after, floor = distances(worlds, policy, G, F, target, seed)
+    found = {"noise_floor": floor}
+    for name, far in {"before": before, "after": after}.items():
         found |= {name: far.mean(), f"{name}_std": far.std(ddof=1)}
     return {name: round(float(value), 4) for name, value in found.items()}

@@ -136,15 +136,7 @@ def used(read: Trajectories, calibration: Calibration) -> Trajectories:
 
 def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories, smoothed: bool = False) -> Calibration:
     """The errors of what a sensor read from source images, whose states are known."""
-    errors, speeds = [], []
-    for episode in read:
-        seen = episode.observations
-        qpos, qvel = task.motion(np.asarray(seen["state"], float), read.dt)
-        sloped = slopes(model, read.dt * np.arange(len(qpos)), seen["qpos"])
-        errors.append((difference(model, qpos, seen["qpos"]), seen["qvel"] - qvel, sloped - qvel))
-        speeds.append(qvel)
-    position, velocity, slope = (np.concatenate(e) for e in zip(*errors, strict=True))
-    speed = np.concatenate(speeds)
+    position, velocity, slope, speed = misread(task, model, read)
     about = speed - speed.mean(0)
     lag = -(about * position).mean(0) / np.maximum(np.square(about).mean(0), 1e-12)
     sizes = (np.sqrt(np.square(e).mean(0)) for e in (position, velocity, slope, speed))
@@ -153,12 +145,19 @@ def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories, smoothed: b
 
 def typical_errors(task: Task, model: mujoco.MjModel, read: Trajectories) -> np.ndarray:
     """The size of most errors of positions on source images, outliers apart, (nv,)."""
-    errors = []
+    position, *_ = misread(task, model, read)
+    return 1.4826 * np.median(np.abs(position - np.median(position, 0)), 0)
+
+
+def misread(task: Task, model: mujoco.MjModel, read: Trajectories) -> list[np.ndarray]:
+    """Errors of positions, velocities and slopes of positions, and the velocities that were there, (n, nv) each."""
+    parts = []
     for episode in read:
-        qpos, _ = task.motion(np.asarray(episode.observations["state"], float), read.dt)
-        errors.append(difference(model, qpos, episode.observations["qpos"]))
-    error = np.concatenate(errors)
-    return 1.4826 * np.median(np.abs(error - np.median(error, 0)), 0)
+        seen = episode.observations
+        qpos, qvel = task.motion(np.asarray(seen["state"], float), read.dt)
+        sloped = slopes(model, read.dt * np.arange(len(qpos)), seen["qpos"])
+        parts.append((difference(model, qpos, seen["qpos"]), seen["qvel"] - qvel, sloped - qvel, qvel))
+    return [np.concatenate(p) for p in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from idapt_pl.diagnosis.data import difference
+from idapt_pl.diagnosis.data import difference, shift
 from idapt_pl.domains import Domain
 from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointFrictionloss
 from idapt_pl.envs import VectorStateEnv
@@ -105,10 +105,7 @@ class VelocityReader(nn.Module):
 
     def misread(self, qpos: np.ndarray, noise: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Positions with white errors."""
-        read = qpos.copy()
-        for row, by in zip(read, rng.normal(size=(len(qpos), self.model.nv)) * noise, strict=True):
-            mujoco.mj_integratePos(self.model, row, by, 1.0)
-        return read
+        return shift(self.model, qpos, rng.normal(size=(len(qpos), self.model.nv)) * noise)
 
     @torch.no_grad()
     def read(self, qpos: np.ndarray, actions: np.ndarray) -> np.ndarray:
@@ -137,9 +134,9 @@ def learn_velocities(
 
 def simulate(task: Task, source: Domain, commands: Sequence[np.ndarray], rng: np.random.Generator) -> list[Motion]:
     """Episodes that play the commands of recordings, each in a source that moves otherwise, until it is over."""
-    motions, steps = [], 0
+    motions, steps, model = [], 0, source.compile()
     while steps < STEPS:
-        other = source.with_effects(*other_dynamics(source, rng))
+        other = source.with_effects(*other_dynamics(model, rng))
         motions.append(play(task, other, commands[rng.integers(len(commands))], int(rng.integers(2**31))))
         steps += len(motions[-1].actions)
     return motions
@@ -160,9 +157,8 @@ def play(task: Task, domain: Domain, commands: np.ndarray, seed: int) -> Motion:
     return Motion(qpos, qvel, np.asarray(commands[: len(states) - 1], float))
 
 
-def other_dynamics(source: Domain, rng: np.random.Generator) -> tuple[Effect, ...]:
+def other_dynamics(model: mujoco.MjModel, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Motors, friction and a mass that differ from the source's by far more than what is to be found."""
-    model = source.compile()
     moved = np.unique(model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -65,11 +65,11 @@ def test_where_along_the_track_and_how_often_turned_make_no_difference(reader, c
 
 def test_sources_differ_in_motors_friction_and_a_mass():
     rng, model = np.random.default_rng(0), SOURCE.compile()
-    drawn = [other_dynamics(SOURCE, rng) for _ in range(30)]
+    drawn = [other_dynamics(model, rng) for _ in range(30)]
     compiled = [SOURCE.with_effects(*effects).compile() for effects in drawn]
     dof = model.joint("bthigh").dofadr[0]
     armature = [m.dof_armature[dof] for m in compiled]
-    assert min(armature) < 0.5 * model.dof_armature[dof] or max(armature) > 4 * model.dof_armature[dof]
+    assert max(armature) / min(armature) > 10
     assert np.ptp([m.actuator_gainprm[0, 0] for m in compiled]) > 0.5
     assert sum(m.dof_frictionloss[dof] > 0 for m in compiled) in range(5, 26), "in about half of them"
     assert all(np.sum(m.body_mass != model.body_mass) <= 1 for m in compiled)
