@@ -5,22 +5,24 @@ diagnosis looks for the effect with which the source replays them. It is a poor 
 state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
 missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
 clearly larger and most of the difference goes with it, or if a good share of the error goes with it and none such in
-the control; and if it is something else, or far more of the same.
+the control; and if it is something else, or far more of the same. Of several effects each must say so for itself, of
+what is left when it is left out.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.search import Settings
-from idapt_pl.domains import Domain
+from idapt_pl.domains import Domain, Effect
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.sensing import GAIN, Sensor, cut, read_calibrated
 from idapt_pl.tasks import Task
@@ -101,6 +103,45 @@ def believable(excess: float, explained: float, gone: float, made_up_share: floa
     return beyond or gone > max(REMOVED, 2 * made_up_share)
 
 
+def adds(fewer: dict, seen: dict, control: dict) -> bool:
+    """Whether one effect more is worth it: errors with it against those with the ones before it.
+
+    Args:
+        fewer: ``error`` of report.json without it.
+        seen: with it.
+        control: that of the control.
+    """
+    left = {name: {"before": e["after"], "after": seen["per_channel"][name]["after"]}
+            for name, e in fewer["per_channel"].items()}  # fmt: skip
+    gone = 1.0 - (1.0 - removed(seen)) / max(1.0 - removed(fewer), 1e-12)
+    return believable(*beyond_the_control(left, control["per_channel"]), gone, removed(control))
+
+
+def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosis) -> tuple[Diagnosis, list[Effect]]:
+    """The diagnosis with at most so many effects, less the last ones found that do not say enough for themselves.
+
+    A sensor errs on the target, and the effect that is there seldom accounts for all of what it reads: the next one
+    found then makes up for the sensor.
+
+    Args:
+        diagnosed: the target's diagnosis with at most so many effects.
+        most: that are looked for.
+        control: the control's.
+
+    Returns:
+        It, and the effects left out.
+    """
+    seen, left_out = diagnosed(most), []
+    while (found := len(seen.report["effects"])) > 1:
+        fewer = diagnosed(found - 1)
+        if adds(fewer.report["error"], seen.report["error"], control.report["error"]):
+            break
+        kept = [(e["effect"], e["target"]) for e in fewer.report["effects"]]
+        left_out += [e for e in seen.effects if (e.name, e.target) not in kept]
+        seen = fewer
+    return seen, left_out
+
+
 def shown_by(found: dict, made_up: Sequence[dict]) -> bool:
     """Whether a sensor makes up an effect, and half as much of it at least as was found; both as in report.json."""
 
@@ -137,19 +178,20 @@ def discover(
         the sensor's noise, and that of the channels of ``target`` and ``control``.
     """
     model = source.compile()
-    settings = Settings(max_effects=options.max_effects)
-
     readings = read_calibrated(sensor, source, target, control, G, seed)
     read, calibration = (readings.target, readings.control), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
-    seen, checked = (
-        diagnose(
-            source.spec(), pieces(d, length), candidates=options.candidates, seed=seed, settings=settings,
-            unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen),
-        )
-        for d in read
-    )  # fmt: skip
+
+    def diagnosed(data: Trajectories, most: int) -> Diagnosis:
+        return diagnose(
+            source.spec(), pieces(data, length), candidates=options.candidates, seed=seed,
+            settings=Settings(max_effects=most), unmeasured=readings.unmeasured,
+            noise=calibration.noise(model, task.unseen),
+        )  # fmt: skip
+
+    checked = diagnosed(readings.control, options.max_effects)
+    seen, left_out = worth_it(partial(diagnosed, readings.target), options.max_effects, checked)
     found = [e for e in seen.effects if e.name != "numerics"]
     estimates, made_up = ([e for e in d.report["effects"] if e["effect"] != "numerics"] for d in (seen, checked))
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
@@ -160,9 +202,11 @@ def discover(
     believed = [e for e in found if (e.name, e.target) in real]
     for e in estimates:
         log.info("effect found from images: %s", e)
+    for e in left_out:
+        log.info("left out, since it says too little beyond those before it: %s", e)
     return {
         "effects": [e.to_dict() for e in believed],
-        "disbelieved": [e.to_dict() for e in found if e not in believed],
+        "disbelieved": [e.to_dict() for e in (*found, *left_out) if e not in believed],
         "estimates": estimates,
         "made_up": made_up,
         "excess": excess,

@@ -1,6 +1,7 @@
 """Effects found from images and actions: planted ones, none where nothing is planted, none that the sensor makes up."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, believable, beyond_the_control, discover, removed, shown_by
+from idapt_pl.discovery import Discovery, believable, beyond_the_control, discover, removed, shown_by, worth_it
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.domains.paths import SensorGain
 from idapt_pl.sensing import GAIN, Calibration, Sensor, calibrate, readable, used
@@ -70,12 +71,12 @@ def recorded(path, domain, seed, episodes=60, steps=12, states=False):
     return path
 
 
-def found(tmp_path, *hidden, gain=1.0):
+def found(tmp_path, *hidden, gain=1.0, options=LOOK_FOR):
     task = make_task("inverted_pendulum")
     source = task.domain("source")
     control = recorded(tmp_path / "control.h5", source, 1, states=True)
     target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
-    return discover(task, source, Sensor(Reader(gain), task, 3), Identity(), [target], [control], LOOK_FOR, seed=0)
+    return discover(task, source, Sensor(Reader(gain), task, 3), Identity(), [target], [control], options, seed=0)
 
 
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])
@@ -101,6 +102,41 @@ def test_a_sensor_that_cannot_tell_how_fast_things_move_is_told_by_simulations(t
     assert [(e["effect"], e["target"]) for e in result["effects"]] == [(e.name, e.target) for e in hidden]
     if hidden:
         assert result["effects"][0]["parameters"]["mass"] == pytest.approx(50.0, rel=0.1)
+
+
+def test_two_planted_effects_are_found(tmp_path):
+    hidden = BodyMass("pole", 50.0), JointDamping("slider", 20.0)
+    result = found(tmp_path, *hidden, options=replace(LOOK_FOR, max_effects=2))
+    assert {(e["effect"], e["target"]) for e in result["effects"]} == {(e.name, e.target) for e in hidden}
+    assert result["disbelieved"] == []
+
+
+def diagnosis(*effects, after, before=4.0):
+    """As far as :func:`worth_it` looks at one: one channel, in units in which the control's error is 1."""
+    error = {"before": before, "after": after, "per_channel": {"hinge": {"before": before, "after": after}}}
+    report = {"error": error, "effects": [{"effect": e.name, "target": e.target} for e in effects]}
+    return SimpleNamespace(effects=effects, report=report)
+
+
+MASS, DAMPING = BodyMass("pole", 50.0), JointDamping("hinge", 8.0)
+
+
+@pytest.mark.parametrize(("after_both", "kept"), [(1.0, 2), (2.2, 2), (2.7, 1), (3.1, 1)])
+def test_a_second_effect_must_say_enough_for_itself(after_both, kept):
+    """The first leaves 3.2 of 4; half of what is beyond the control's 1 is 1.1, three tenths of all is 0.96."""
+    made = {2: diagnosis(MASS, DAMPING, after=after_both), 1: diagnosis(MASS, after=3.2)}
+    seen, left_out = worth_it(made.get, 2, diagnosis(before=1.0, after=1.0))
+    assert len(seen.effects) == kept and left_out == [DAMPING][: 2 - kept]
+
+
+def test_one_effect_is_diagnosed_once():
+    asked = []
+
+    def diagnosed(most):
+        asked.append(most)
+        return diagnosis(MASS, after=3.9)
+
+    assert worth_it(diagnosed, 2, diagnosis(before=1.0, after=1.0))[1] == [] and asked == [2]
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):
