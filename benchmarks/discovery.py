@@ -132,12 +132,15 @@ def record(grounding: IterativeGrounding, domain: Domain, path: Path, steps: int
 
 def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
     """Compare what was found with what was hidden."""
-    labels = [[f"{e['effect']}({e['target']})" for e in result[k]] for k in ("effects", "disbelieved")]
-    row = {"found": " + ".join(labels[0]), "disbelieved": " + ".join(labels[1])}
+    doubted = [*result["disbelieved"], *result["left_out"]]
+    found, disbelieved = (
+        " + ".join(f"{e['effect']}({e['target']})" for e in es) for es in (result["effects"], doubted)
+    )
+    row = {"found": found, "disbelieved": disbelieved}
     row |= {k: round(result[k], 3) for k in ("before", "after", "excess", "explained")}
     row |= {"removed_in_control": round(result["removed"]["control"], 3)}
     if not hidden:
-        return row | {"right": int(not labels[0])}
+        return row | {"right": int(not found)}
     truth = hidden[0]
     parameter, value = next((k, v) for k, v in truth.to_dict()["parameters"].items())
     row |= {"truth": value, "right": 0}

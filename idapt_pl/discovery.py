@@ -22,7 +22,7 @@ import numpy as np
 from datamodules import Trajectories
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.search import Settings
-from idapt_pl.domains import Domain, Effect
+from idapt_pl.domains import Domain
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.sensing import GAIN, Sensor, cut, read_calibrated
 from idapt_pl.tasks import Task
@@ -117,7 +117,7 @@ def adds(fewer: dict, seen: dict, control: dict) -> bool:
     return believable(*beyond_the_control(left, control["per_channel"]), gone, removed(control))
 
 
-def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosis) -> tuple[Diagnosis, list[Effect]]:
+def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosis) -> tuple[Diagnosis, list[dict]]:
     """The diagnosis with at most so many effects, less the last ones found that do not say enough for themselves.
 
     A sensor errs on the target, and the effect that is there seldom accounts for all of what it reads: the next one
@@ -129,7 +129,7 @@ def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosi
         control: the control's.
 
     Returns:
-        It, and the effects left out.
+        It, and the effects left out, as in report.json.
     """
     seen, left_out = diagnosed(most), []
     while (found := len(seen.report["effects"])) > 1:
@@ -137,7 +137,7 @@ def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosi
         if adds(fewer.report["error"], seen.report["error"], control.report["error"]):
             break
         kept = [(e["effect"], e["target"]) for e in fewer.report["effects"]]
-        left_out += [e for e in seen.effects if (e.name, e.target) not in kept]
+        left_out += [e for e in seen.report["effects"] if (e["effect"], e["target"]) not in kept]
         seen = fewer
     return seen, left_out
 
@@ -169,7 +169,8 @@ def discover(
         seed: of the choice of windows.
 
     Returns:
-        ``effects`` found (a list as in effects.yaml) and ``disbelieved`` ones; ``excess``, the largest ratio of a
+        ``effects`` found (a list as in effects.yaml), ``disbelieved`` ones, and those ``left_out`` since too little
+        goes with them beyond the others (as in report.json); ``excess``, the largest ratio of a
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
         ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
@@ -206,7 +207,8 @@ def discover(
         log.info("left out, since it says too little beyond those before it: %s", e)
     return {
         "effects": [e.to_dict() for e in believed],
-        "disbelieved": [e.to_dict() for e in (*found, *left_out) if e not in believed],
+        "disbelieved": [e.to_dict() for e in found if e not in believed],
+        "left_out": left_out,
         "estimates": estimates,
         "made_up": made_up,
         "excess": excess,

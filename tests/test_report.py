@@ -135,6 +135,8 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
             {"effect": "joint_armature", "target": "hinge", "parameters": armature},
         ],
     }
+    delay = {"delay": {"nominal": 0.0, "estimate": 0.02, "ci95": [0.01, 0.03], "unit": "s"}}
+    effects["left_out"] = [{"effect": "actuator_delay", "target": "slide", "parameters": delay}]
     hinge = {"noise": 0.0123, "before": 0.456, "after": 0.0135, "unit": "rad"}
     effects |= {"before": 17.5, "after": 1.04, "excess": 25.0, "target": {"hinge position": hinge}}
     effects["control"] = {"hinge position": hinge | {"before": 0.0182}}
@@ -146,6 +148,7 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     assert "F is rolled back: it is clearly worse" in text and "+0.5 to +0.7" in text
     assert "mass of body pole mass 187 180 to 194 kg added to the source" in text
     assert "not believed: it may be an error of the estimator" in text
+    assert "0.010 to 0.030 s not believed: too little goes with it" in text
     assert "17.5 times the sensor's noise away" in text and "1.04 times with all the effects found" in text
     assert "hinge position rad 0.0123 0.456 0.0135 0.0182" in text
     assert "left out: 1.25 % of the target's, 0 % of the control's" in text.replace("&#x27;", "'")

@@ -35,11 +35,13 @@ def residuals(effects: dict) -> str:
 def found(effects: dict, model: mujoco.MjModel) -> list[str]:
     """A row for each parameter of each effect, and whether it was added."""
     believed, rows = {(e["effect"], e["target"]) for e in effects.get("effects", [])}, []
-    for e in effects.get("estimates", []):
+    left_out = effects.get("left_out", [])
+    for e in (*effects.get("estimates", []), *left_out):
         known = (e["effect"], e["target"]) in believed
+        doubt = "too little goes with it" if e in left_out else "it may be an error of the estimator"
         for name, p in e["parameters"].items():
             value, interval = estimate(p["estimate"], p["ci95"])
-            fate = "added to the source" if known else "not believed: it may be an error of the estimator"
+            fate = "added to the source" if known else f"not believed: {doubt}"
             what = (meaning(e["effect"], e["target"]), name, f"#{value}", f"#{interval or '-'}")
             rows.append(row(*what, unit_at(model, e["target"], p["unit"]), fate, kind="accepted" if known else ""))
     return rows
