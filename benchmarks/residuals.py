@@ -60,10 +60,10 @@ def main() -> None:
     p.add_argument("runs", nargs="+", type=Path, help="folders of finished runs with a grounding step")
     p.add_argument("--rollouts", type=int, default=8, help="with F and without")
     p.add_argument("--out", type=Path, default=ROOT / "results/residuals.csv")
-    o = p.parse_args()
+    o, commit = p.parse_args(), git_commit()
     for folder in o.runs:
         name, seed = folder.name.removeprefix("benchmark_").rsplit("_", 1)
-        row = {"run": name, "seed": seed, "rollouts": o.rollouts, **measure(folder, o.rollouts), "commit": git_commit()}
+        row = {"run": name, "seed": seed, "rollouts": o.rollouts, **measure(folder, o.rollouts), "commit": commit}
         print(row, flush=True)
         replace_rows(o.out, [row], KEY)
 

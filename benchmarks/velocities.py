@@ -59,7 +59,7 @@ def main() -> None:
     p.add_argument("--runs", help="folders of runs, less _<seed>; default runs/sensor_<config>")
     p.add_argument("--recordings", nargs="+", default=("control", "armature_0.4_hard"))
     p.add_argument("--out", type=Path, default=ROOT / "results/velocities.csv")
-    o = p.parse_args()
+    o, commit = p.parse_args(), git_commit()
     for seed in o.seeds:
         folder = Path(f"{o.runs or ROOT / f'runs/sensor_{o.config}'}_{seed}")
         run = open_run(folder)
@@ -86,7 +86,7 @@ def main() -> None:
                 if joint not in task.unseen:
                     for way, v in ways.items():
                         row[f"{way}_error"], row[f"{way}_gain"] = compared(truth[:, i], v[:, i])
-                    rows.append(row | {"commit": git_commit()})
+                    rows.append(row | {"commit": commit})
             print(*rows, sep="\n", flush=True)
             replace_rows(o.out, rows, KEY)
 

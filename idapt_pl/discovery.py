@@ -103,6 +103,11 @@ def believable(excess: float, explained: float, gone: float, made_up_share: floa
     return beyond or gone > max(REMOVED, 2 * made_up_share)
 
 
+def physical(diagnosis: Diagnosis) -> list[dict]:
+    """The effects that were found, as in report.json, without the numerics of the simulation."""
+    return [e for e in diagnosis.report["effects"] if e["effect"] != "numerics"]
+
+
 def adds(fewer: dict, seen: dict, control: dict) -> bool:
     """Whether one effect more is worth it: errors with it against those with the ones before it.
 
@@ -132,12 +137,12 @@ def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosi
         It, and the effects left out, as in report.json.
     """
     seen, left_out = diagnosed(most), []
-    while (found := len(seen.report["effects"])) > 1:
+    while (found := len(physical(seen))) > 1:
         fewer = diagnosed(found - 1)
         if adds(fewer.report["error"], seen.report["error"], control.report["error"]):
             break
-        kept = [(e["effect"], e["target"]) for e in fewer.report["effects"]]
-        left_out += [e for e in seen.report["effects"] if (e["effect"], e["target"]) not in kept]
+        kept = [(e["effect"], e["target"]) for e in physical(fewer)]
+        left_out += [e for e in physical(seen) if (e["effect"], e["target"]) not in kept]
         seen = fewer
     return seen, left_out
 
@@ -194,7 +199,7 @@ def discover(
     checked = diagnosed(readings.control, options.max_effects)
     seen, left_out = worth_it(partial(diagnosed, readings.target), options.max_effects, checked)
     found = [e for e in seen.effects if e.name != "numerics"]
-    estimates, made_up = ([e for e in d.report["effects"] if e["effect"] != "numerics"] for d in (seen, checked))
+    estimates, made_up = physical(seen), physical(checked)
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     gone, made_up_share = (removed(d.report["error"]) for d in (seen, checked))
