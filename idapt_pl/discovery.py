@@ -103,11 +103,6 @@ def believable(excess: float, explained: float, gone: float, made_up_share: floa
     return beyond or gone > max(REMOVED, 2 * made_up_share)
 
 
-def physical(diagnosis: Diagnosis) -> list[dict]:
-    """The effects that were found, as in report.json, without the numerics of the simulation."""
-    return [e for e in diagnosis.report["effects"] if e["effect"] != "numerics"]
-
-
 def adds(fewer: dict, seen: dict, control: dict) -> bool:
     """Whether one effect more is worth it: errors with it against those with the ones before it.
 
@@ -137,12 +132,12 @@ def worth_it(diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosi
         It, and the effects left out, as in report.json.
     """
     seen, left_out = diagnosed(most), []
-    while (found := len(physical(seen))) > 1:
+    while (found := len(seen.report["effects"])) > 1:
         fewer = diagnosed(found - 1)
         if adds(fewer.report["error"], seen.report["error"], control.report["error"]):
             break
-        kept = [(e["effect"], e["target"]) for e in physical(fewer)]
-        left_out += [e for e in physical(seen) if (e["effect"], e["target"]) not in kept]
+        kept = [(e["effect"], e["target"]) for e in fewer.report["effects"]]
+        left_out += [e for e in seen.report["effects"] if (e["effect"], e["target"]) not in kept]
         seen = fewer
     return seen, left_out
 
@@ -189,30 +184,30 @@ def discover(
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
 
+    # The source keeps its numerics, so what is found must hold with them.
     def diagnosed(data: Trajectories, most: int) -> Diagnosis:
         return diagnose(
             source.spec(), pieces(data, length), candidates=options.candidates, seed=seed,
-            settings=Settings(max_effects=most), unmeasured=readings.unmeasured,
+            settings=Settings(max_effects=most, numerics=False), unmeasured=readings.unmeasured,
             noise=calibration.noise(model, task.unseen),
         )  # fmt: skip
 
     checked = diagnosed(readings.control, options.max_effects)
     seen, left_out = worth_it(partial(diagnosed, readings.target), options.max_effects, checked)
-    found = [e for e in seen.effects if e.name != "numerics"]
-    estimates, made_up = physical(seen), physical(checked)
+    estimates, made_up = seen.report["effects"], checked.report["effects"]
     errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
     excess, explained = beyond_the_control(*errors)
     gone, made_up_share = (removed(d.report["error"]) for d in (seen, checked))
     trusted = believable(excess, explained, gone, made_up_share)
     real = {(e["effect"], e["target"]) for e in estimates if trusted and not shown_by(e, made_up)}
-    believed = [e for e in found if (e.name, e.target) in real]
+    believed = [e for e in seen.effects if (e.name, e.target) in real]
     for e in estimates:
         log.info("effect found from images: %s", e)
     for e in left_out:
         log.info("left out, since it says too little beyond those before it: %s", e)
     return {
         "effects": [e.to_dict() for e in believed],
-        "disbelieved": [e.to_dict() for e in found if e not in believed],
+        "disbelieved": [e.to_dict() for e in seen.effects if e not in believed],
         "left_out": left_out,
         "estimates": estimates,
         "made_up": made_up,

@@ -129,18 +129,6 @@ def test_a_second_effect_must_say_enough_for_itself(after_both, kept):
     assert len(seen.effects) == kept and [e["effect"] for e in left_out] == ["joint_damping"][: 2 - kept]
 
 
-def test_numerics_are_no_effect_that_could_be_left_out():
-    """They are found beside any number of effects, also of one."""
-    numerics, asked = SimpleNamespace(name="numerics", target="option"), []
-
-    def diagnosed(most):
-        asked.append(most)
-        return diagnosis(numerics, *(MASS, DAMPING)[:most], after=3.2 - 0.1 * most)
-
-    _, left_out = worth_it(diagnosed, 2, diagnosis(before=1.0, after=1.0))
-    assert [e["effect"] for e in left_out] == ["joint_damping"] and asked == [2, 1]
-
-
 def test_one_effect_is_diagnosed_once():
     asked = []
 

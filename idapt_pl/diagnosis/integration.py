@@ -16,7 +16,7 @@ FLOOR = 1.05
 def retest_numerics(search: Search) -> None:
     """Try other numerics, with the accepted effects refitted; again after every addition."""
     search.progress("numerics", 0.08)
-    if any(e.name == "numerics" for e in search.declared):
+    if not search.settings.numerics or any(e.name == "numerics" for e in search.declared):
         return
     others = tuple(e for e in search.fixed if e.name != "numerics")
     level = float(window_loss(search.z(search.screen, search.effects)).mean())

@@ -50,6 +50,7 @@ class Settings:
         sureness: lower confidence bound of the held-out gain, in standard errors.
         z: of the score, in standard deviations under the null, family-wise.
         seconds: aim for no more than this on two cores.
+        numerics: try other time steps and integrators too.
     """
 
     max_effects: int = 4
@@ -65,6 +66,7 @@ class Settings:
     sureness: float = 1.2
     z: float = 4.5
     seconds: float = 60.0
+    numerics: bool = True
 
 
 @dataclass(eq=False)
