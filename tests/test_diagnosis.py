@@ -11,6 +11,7 @@ from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.data import UnusableData, cut, recordings
 from idapt_pl.diagnosis.search import split_episodes
 from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.statistics import (
     Noise,
     estimate_noise,
@@ -387,11 +388,17 @@ def test_what_the_recordings_do_not_excite_is_called_that():
 
 
 def test_numerics_are_reported_as_what_differs():
-    """The same integrator with another time step is not another integrator."""
-    fine = ARM.replace('timestep="0.004"', 'timestep="0.02"')
-    report = diagnose(mujoco.MjSpec.from_string(fine), record(noise=(1e-5, 1e-4)), candidates=["body_mass"]).report
-    (numerics,) = [e for e in report["effects"] if e["effect"] == "numerics"]
+    """The same integrator with another time step is not another integrator. They can be kept as they are."""
+    coarse, data = ARM.replace('timestep="0.004"', 'timestep="0.02"'), record(noise=(1e-5, 1e-4))
+
+    def found(**settings):
+        spec = mujoco.MjSpec.from_string(coarse)
+        report = diagnose(spec, data, candidates=["body_mass"], settings=Settings(**settings)).report
+        return [e for e in report["effects"] if e["effect"] == "numerics"]
+
+    (numerics,) = found()
     assert set(numerics["parameters"]) == {"timestep"}
+    assert found(numerics=False) == []
 
 
 def test_what_a_residual_goes_along_with_is_a_share_of_it():
