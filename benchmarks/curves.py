@@ -94,10 +94,10 @@ def draw(table: Sequence[dict[str, str]], path: Path) -> None:
         figure = Figure(figsize=(4.4 * len(configs), 3.4), layout="constrained")
         for axis, config in zip(figure.subplots(1, len(configs), squeeze=False)[0], configs, strict=True):
             for method, colour in (("without", BEFORE), ("with effects", AFTER)):
-                for seeds in curves(table, config, method).values():
+                for images, seeds in curves(table, config, method).items():
                     for one in seeds:
                         axis.plot(*one.T, color=colour, lw=0.7, alpha=0.5)
-                    label = f"{method}, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
+                    label = f"{method}, {images} images, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
                     axis.plot(*np.mean(seeds, 0).T, color=colour, marker="o", ms=5, lw=2, label=label)
             axis.set(title=config, xlabel="target interactions for training", ylabel="return in the target")
             axis.legend(frameon=False, fontsize=9)
