@@ -14,7 +14,7 @@ from datamodules.on_policy import encode_transitions
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
-from idapt_pl.rollout import collect
+from idapt_pl.rollout import collect_each
 from idapt_pl.worlds import Worlds
 
 ROLLOUTS = 3
@@ -41,11 +41,11 @@ def grounded_rollouts(
 ) -> list[FrameStacks]:  # fmt: skip
     """What a policy sees in the source seen through G and moved through F (None is the identity), several times.
 
-    Starts and the policy's draws are the same whatever F is.
+    They run side by side. Starts and the policy's draws are the same whatever F is.
     """
-    with closing(worlds.grounded(1, G, F)) as env, torch.random.fork_rng(devices=[]):
+    with closing(worlds.grounded(rollouts, G, F)) as env, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return [FrameStacks(collect(env, policy.act, steps, seed + i, ""), worlds.frame_stack) for i in range(rollouts)]
+        return [FrameStacks(played, worlds.frame_stack) for played in collect_each(env, policy.act, steps, seed)]
 
 
 def half(lengths: Sequence[int]) -> np.ndarray:

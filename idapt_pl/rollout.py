@@ -69,9 +69,22 @@ def collect(env: VectorEnv, act: Act, steps: int, seed: int, source: str, pixels
         source: free text for the file.
         pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
     """
+    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels))
+    return Trajectories(episodes, env.unwrapped.dt, source)
+
+
+def collect_each(env: VectorEnv, act: Act, steps: int, seed: int) -> list[Trajectories]:
+    """As :func:`collect`, but ``steps`` of every simulation, each one's episodes on their own."""
+    played = play(env, act, steps * env.num_envs, seed, "pixels")
+    of_each = [tuple(episode for i, episode in played if i == n) for n in range(env.num_envs)]
+    return [Trajectories(episodes, env.unwrapped.dt, "") for episodes in of_each]
+
+
+def play(env: VectorEnv, act: Act, steps: int, seed: int, pixels: str) -> list[tuple[int, Episode]]:
+    """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
     obs, _ = env.reset(seed=seed)
     labelled = "state" in obs
-    episodes: list[Episode] = []
+    episodes: list[tuple[int, Episode]] = []
     running = [_EpisodeBuilder(obs, i, pixels) for i in range(env.num_envs)]
     taken = 0
     while taken < steps:
@@ -83,9 +96,9 @@ def collect(env: VectorEnv, act: Act, steps: int, seed: int, source: str, pixels
         for i, builder in enumerate(running):
             builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
             if terminations[i] or truncations[i] or taken >= steps:
-                episodes.append(builder.finish(labelled))
+                episodes.append((i, builder.finish(labelled)))
                 running[i] = _EpisodeBuilder(obs, i, pixels)
-    return Trajectories(tuple(episodes), env.unwrapped.dt, source)
+    return episodes
 
 
 class _EpisodeBuilder:

@@ -10,7 +10,7 @@ from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.fitting import keep_better
 from idapt_pl.misperception import Faithful
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC
-from idapt_pl.rollout import EXPLORATION, Experience, collect, evaluate, garat_rollout, random_policy
+from idapt_pl.rollout import EXPLORATION, Experience, collect, collect_each, evaluate, garat_rollout, random_policy
 
 
 @pytest.fixture
@@ -36,6 +36,16 @@ def test_collect_takes_exactly_the_steps_asked_for(make, steps):
     assert trajectories.total_steps == steps
     assert [len(e) for e in trajectories] == [6] * (steps // 6) + ([steps % 6] if steps % 6 else [])
     assert trajectories.dt == pytest.approx(0.02)
+
+
+def test_collecting_each_gives_every_simulation_the_steps_asked_for_and_its_own_episodes(make):
+    each = collect_each(make(3), lambda pixels: np.array([[0.0], [100.0], [-100.0]], np.float32), 14, 0)
+    assert [trajectories.total_steps for trajectories in each] == [14, 14, 14]
+    assert [len(e) for e in each[0]] == [6, 6, 2]
+    for trajectories, force in zip(each, (0.0, 100.0, -100.0), strict=True):
+        assert {float(a) for episode in trajectories for a in episode.actions[:, 0]} == {force}
+        for episode in trajectories:  # no episode of one goes on in another
+            np.testing.assert_allclose(episode.rewards, episode.observations["state"][1:, 0], atol=1e-6)
 
 
 def test_collected_episode_ends_with_its_own_last_observation_not_the_next_ones_first(make):
