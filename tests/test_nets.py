@@ -6,7 +6,7 @@ import torch
 
 from idapt_pl.nets.encoder import FrameStatePredictor, Keypoints, PixelEncoder, PixelStatePredictor
 from idapt_pl.nets.images import center_crop, random_crop, stack_channels, to_float, to_pixels
-from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
+from idapt_pl.nets.translation import InstanceNorm, PatchDiscriminator, ResnetGenerator, few_channels_out
 
 
 def random_pixels(*shape):
@@ -23,6 +23,12 @@ def test_every_pixel_value_survives_the_round_trip_through_floats():
 def test_values_out_of_range_are_clamped_rather_than_wrapped():
     assert to_pixels(torch.full((3, 1, 1), 1.5)).unique().tolist() == [255]
     assert to_pixels(torch.full((3, 1, 1), -1.5)).unique().tolist() == [0]
+
+
+def test_floats_lie_in_memory_channels_first():
+    pixels = torch.randint(256, (2, 1, 8, 6, 3), dtype=torch.uint8)
+    assert to_float(pixels).is_contiguous()
+    assert stack_channels(pixels).is_contiguous()
 
 
 def test_stack_channels_puts_frames_one_after_another_oldest_first():
@@ -143,6 +149,43 @@ def test_generator_keeps_the_image_size_and_range(size):
 def test_generator_treats_each_image_of_a_batch_on_its_own():
     G, images = ResnetGenerator(3, width=4, blocks=1), torch.rand(3, 3, 32, 32)
     torch.testing.assert_close(G(images)[1:2], G(images[1:2]), rtol=1e-4, atol=1e-5)
+
+
+def outputs_and_gradients(net, x):
+    """What a net gives, and the gradients of a weighted sum of it by its input and parameters."""
+    x = x.clone().requires_grad_()
+    y = net(x)
+    weights = torch.linspace(-1, 1, y.numel()).view(y.shape)
+    return [y, *torch.autograd.grad((y * weights).sum(), [x, *net.parameters()])]
+
+
+def test_instance_norm_is_pytorchs():
+    ours, theirs = InstanceNorm(6), torch.nn.InstanceNorm2d(6, affine=True)
+    torch.nn.init.normal_(ours.weight)
+    torch.nn.init.normal_(ours.bias)
+    theirs.load_state_dict(ours.state_dict())
+    x = 3 * torch.randn(4, 6, 9, 7) + 1
+    for mine, reference in zip(outputs_and_gradients(ours, x), outputs_and_gradients(theirs, x), strict=True):
+        torch.testing.assert_close(mine, reference, atol=1e-4, rtol=1e-4)
+
+
+def test_convolution_to_few_channels_is_pytorchs_and_leaves_memory_as_it_was():
+    conv = torch.nn.Conv2d(16, 3, 7)
+
+    class Ours(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.conv = conv
+
+        def forward(self, x):
+            return few_channels_out(self.conv, x)
+
+    x = torch.randn(2, 16, 15, 13)
+    found, expected = outputs_and_gradients(Ours(), x), outputs_and_gradients(conv, x)
+    for mine, reference in zip(found, expected, strict=True):
+        torch.testing.assert_close(mine, reference, atol=1e-3, rtol=1e-4)
+    assert found[0].is_contiguous()
+    assert found[1].is_contiguous()
 
 
 def test_patch_discriminator_judges_patches():

@@ -17,21 +17,45 @@ def gan_init(module: nn.Module) -> None:
             nn.init.zeros_(module.bias)
 
 
+class InstanceNorm(nn.InstanceNorm2d):
+    """Instance norm with scale and shift. On CPUs by the kernel of group norm, the same in a fraction of the time."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, affine=True)
+
+    def forward(self, x: Tensor) -> Tensor:
+        if x.device.type != "cpu":
+            return super().forward(x)
+        return nn.functional.group_norm(x, self.num_features, self.weight, self.bias, self.eps)
+
+
 def conv_block(ins: int, outs: int, kernel: int, stride: int = 1) -> nn.Sequential:
     """Reflection padding, convolution, instance norm, ReLU."""
     return nn.Sequential(
         nn.ReflectionPad2d(kernel // 2),
         nn.Conv2d(ins, outs, kernel, stride=stride),
-        nn.InstanceNorm2d(outs, affine=True),
+        InstanceNorm(outs),
         nn.ReLU(inplace=True),
     )
+
+
+class _GradientLikeInput(torch.autograd.Function):
+    """To channels last, and the gradient back from there: all layers before would get theirs so, and be slower."""
+
+    @staticmethod
+    def forward(ctx, x: Tensor) -> Tensor:
+        return x.contiguous(memory_format=torch.channels_last)
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor) -> Tensor:
+        return gradient.contiguous()
 
 
 def few_channels_out(conv: nn.Conv2d, x: Tensor) -> Tensor:
     """A convolution to few channels, which CPUs compute in half the time with channels last; so is its gradient."""
     if x.device.type != "cpu":
         return conv(x)
-    return conv(x.contiguous(memory_format=torch.channels_last)).contiguous()
+    return conv(_GradientLikeInput.apply(x)).contiguous()
 
 
 class ResidualBlock(nn.Module):
@@ -43,7 +67,7 @@ class ResidualBlock(nn.Module):
             conv_block(channels, channels, 3),
             nn.ReflectionPad2d(1),
             nn.Conv2d(channels, channels, 3),
-            nn.InstanceNorm2d(channels, affine=True),
+            InstanceNorm(channels),
         )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -78,7 +102,7 @@ class ResnetGenerator(nn.Module):
             layers.append(
                 nn.Sequential(
                     nn.ConvTranspose2d(ins, outs, 3, stride=2, padding=1, output_padding=1),
-                    nn.InstanceNorm2d(outs, affine=True),
+                    InstanceNorm(outs),
                     nn.ReLU(inplace=True),
                 )
             )
@@ -130,7 +154,7 @@ class PatchDiscriminator(nn.Module):
             stride = 2 if i < layers - 1 else 1
             body += [
                 nn.Conv2d(ins, outs, 4, stride, 1),
-                nn.InstanceNorm2d(outs, affine=True),
+                InstanceNorm(outs),
                 nn.LeakyReLU(0.2, inplace=True),
             ]
         self.body = nn.Sequential(*body, nn.Conv2d(width * min(2**layers, 8), 1, 4, 1, 1))
