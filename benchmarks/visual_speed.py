@@ -7,10 +7,12 @@ sizes stay. All rows of one preset
 and size are measured in turns within one run, and their medians are compared.
 
 The reference loop is what one writes first, after the CycleGAN paper: float32, one pass for each thing that goes
-through a network, the generators' step before the discriminators', floats from the loader. The others are
+through a network, the generators' step before the discriminators', PyTorch's own layers, floats from the loader, in
+memory as torchvision's transforms give them. The others are
 `idapt visual`: the same losses and batch through Trainer and data module, without loggers, with
 
-- ``float32``: all that goes through a network in one pass, bytes until the device, fused Adam;
+- ``float32``: all that goes through a network in one pass, bytes until the device, fused Adam, and on CPUs norms by the
+  kernel of group norm and a last convolution with channels last;
 - ``bfloat16``: and autocast, where the device computes in it; ``channels_last``, ``compiled``: and those. Compiling for
   a CPU takes minutes, so these variants are measured there only if named.
 
@@ -49,7 +51,7 @@ from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.training import computes_bfloat16
-from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
+from idapt_pl.nets.translation import InstanceNorm, PatchDiscriminator, ResnetGenerator
 
 VARIANTS = {
     "float32": ("32-true", {}),
@@ -95,8 +97,8 @@ class PlainLoop:
     def __init__(self, settings: dict, source: Tensor, target: Tensor, batch: int, device: torch.device) -> None:
         self.s, self.device = settings, device
         width, blocks, d_width = (settings[k] for k in ("width", "blocks", "discriminator_width"))
-        self.G, self.F = (ResnetGenerator(3, width, blocks).to(device) for _ in range(2))
-        self.D_S, self.D_T = (PatchDiscriminator(3, d_width).to(device) for _ in range(2))
+        self.G, self.F = (plain_generator(width, blocks).to(device) for _ in range(2))
+        self.D_S, self.D_T = (plain_layers(PatchDiscriminator(3, d_width).body).to(device) for _ in range(2))
         g, d = (itertools.chain(a.parameters(), b.parameters()) for a, b in ((self.G, self.F), (self.D_S, self.D_T)))
         self.opt_g = torch.optim.Adam(g, settings["lr_generator"], (0.5, 0.999))
         self.opt_d = torch.optim.Adam(d, settings["lr_discriminator"], (0.5, 0.999))
@@ -138,6 +140,21 @@ class PlainLoop:
             self.step()
             times.append(synchronized(self.device) - started)
         return statistics.median(times), float("nan")
+
+
+def plain_generator(width: int, blocks: int) -> nn.Module:
+    """The generator of PyTorch's own layers."""
+    return nn.Sequential(plain_layers(ResnetGenerator(3, width, blocks).body), nn.Tanh())
+
+
+def plain_layers(net: nn.Module) -> nn.Module:
+    """A network with PyTorch's instance norm in place of ours."""
+    for name, child in net.named_children():
+        if isinstance(child, InstanceNorm):
+            setattr(net, name, nn.InstanceNorm2d(child.num_features, affine=True))
+        else:
+            plain_layers(child)
+    return net
 
 
 def endless(loader: DataLoader):
@@ -219,7 +236,7 @@ def training_rows(name: str, size: int, device: torch.device, o: argparse.Namesp
         pixels = write_noise(Path(folder), n, size)
         data = ImageDomains(root=folder, batch_size=batch)
         data.setup("fit")
-        floats = [x.movedim(-1, 1).float() / 127.5 - 1 for x in pixels]
+        floats = [x.movedim(-1, 1).contiguous().float() / 127.5 - 1 for x in pixels]
         plain = PlainLoop(settings, *floats, batch, device)
         times: dict[str, list[tuple[float, float]]] = {"reference": []} | {v: [] for v in o.variants}
         for _ in range(o.rounds):
@@ -277,7 +294,7 @@ def inference_rows(name: str, size: int, device: torch.device, o: argparse.Names
     rows = []
     for batch in (1, 16):
         pixels = np.random.default_rng(0).integers(0, 256, (batch, 1, size, size, 3), np.uint8)
-        plain = ResnetGenerator(3, settings["width"], settings["blocks"]).to(device).eval()
+        plain = plain_generator(settings["width"], settings["blocks"]).to(device).eval()
         actions = {"reference": lambda plain=plain, pixels=pixels: translate_plainly(plain, pixels, device)}
         for variant in o.variants:
             precision, options = VARIANTS[variant]
@@ -298,7 +315,7 @@ def inference_rows(name: str, size: int, device: torch.device, o: argparse.Names
 
 def translate_plainly(G: nn.Module, pixels: np.ndarray, device: torch.device) -> np.ndarray:
     """Bytes to bytes in float32."""
-    images = torch.from_numpy(pixels[:, 0]).to(device).permute(0, 3, 1, 2).float() / 127.5 - 1
+    images = torch.from_numpy(pixels[:, 0]).to(device).permute(0, 3, 1, 2).contiguous().float() / 127.5 - 1
     return ((G(images) + 1) * 127.5).round().clamp(0, 255).byte().permute(0, 2, 3, 1).cpu().numpy()
 
 

@@ -159,12 +159,13 @@ def outputs_and_gradients(net, x):
     return [y, *torch.autograd.grad((y * weights).sum(), [x, *net.parameters()])]
 
 
-def test_instance_norm_is_pytorchs():
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_instance_norm_is_pytorchs(layout):
     ours, theirs = InstanceNorm(6), torch.nn.InstanceNorm2d(6, affine=True)
     torch.nn.init.normal_(ours.weight)
     torch.nn.init.normal_(ours.bias)
     theirs.load_state_dict(ours.state_dict())
-    x = 3 * torch.randn(4, 6, 9, 7) + 1
+    x = (3 * torch.randn(4, 6, 9, 7) + 1).contiguous(memory_format=layout)
     for mine, reference in zip(outputs_and_gradients(ours, x), outputs_and_gradients(theirs, x), strict=True):
         torch.testing.assert_close(mine, reference, atol=1e-4, rtol=1e-4)
 
