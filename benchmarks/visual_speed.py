@@ -2,8 +2,8 @@
 
     python benchmarks/visual_speed.py [--presets paper official fast] [--sizes 100 256] [--device cpu] [--rounds 3]
 
-Prints tables and writes ``results/visual_training.csv`` and ``results/visual_inference.csv``; rows of other presets and
-sizes stay. All rows of one preset
+Prints tables and writes ``results/visual_training.csv`` and ``results/visual_inference.csv``; rows of other presets,
+sizes and devices stay. All rows of one preset
 and size are measured in turns within one run, and their medians are compared.
 
 The reference loop is what one writes first, after the CycleGAN paper: float32, one pass for each thing that goes
@@ -62,7 +62,8 @@ VARIANTS = {
     "bfloat16 channels_last compiled": ("bf16-mixed", {"channels_last": True, "compile_nets": True}),
 }
 REFERENCE = ("32-true", {})
-KEY = ("preset", "size", "batch", "device", "variant")
+KEY = ("preset", "size", "device")
+"""Rows that are measured together, whose ratios mean something, stay together."""
 WARM_UP = 3
 """Steps before the clock runs (more where networks are compiled: the first steps compile)."""
 
