@@ -109,7 +109,10 @@ def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
 
 
 def git_commit() -> str | None:
-    """The commit this code is at, with ``+dirty`` if it was changed since; None outside a checkout."""
+    """The commit this code is at, with ``+dirty`` if it was changed since; None outside a checkout.
+
+    Tables in ``results/`` are no code: a benchmark that writes them leaves the commit as it is.
+    """
     here = Path(__file__).parent
 
     def git(*args: str) -> str:
@@ -118,7 +121,8 @@ def git_commit() -> str | None:
         ).stdout.strip()
 
     try:
-        return git("rev-parse", "HEAD") + ("+dirty" if git("status", "--porcelain") else "")
+        changed = git("status", "--porcelain", "--", ":/", ":(top,exclude)results")
+        return git("rev-parse", "HEAD") + ("+dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return None
 
