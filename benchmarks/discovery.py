@@ -28,13 +28,14 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
+import numpy as np
 import quick
 import yaml
 from tables import replace_rows
 
 from cli.provenance import git_commit
 from cli.run_folder import load_estimator, load_visual, open_run
-from datamodules import Trajectories, write_trajectories
+from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import Domain, looks
 from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointDamping
@@ -89,6 +90,10 @@ class Translated:
         """As of the sensor."""
         return self.sensor.read(files, self.G)
 
+    def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
+        """As of the sensor."""
+        return self.sensor.motion(episode, dt, self.G)
+
 
 def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
@@ -105,7 +110,7 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
         record(grounding, source, control, steps, seed + 200)
     started = time.perf_counter()
     reads = Translated(sensor, G) if look == TRANSLATED else sensor
-    result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed)
+    result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed, worlds.seen)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 

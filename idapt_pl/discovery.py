@@ -1,7 +1,9 @@
 """Which physical effect does the source lack? Found from the target's images and actions alone.
 
-An estimator of the state, fitted to what G shows of the source, turns the target's images into positions, and the
-diagnosis looks for the effect with which the source replays them. It is a poor sensor, with errors that depend on the
+An estimator of the state, fitted to what G shows of the source, turns the target's images into positions and
+velocities. Where it cannot tell how fast things move, effects are judged by how well the source with them forecasts
+what it reads (:mod:`idapt_pl.forecast_search`). Else the diagnosis looks for the effect with which the source replays
+it. It is a poor sensor, with errors that depend on the
 state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
 missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
 clearly larger and most of the difference goes with it, or if a good share of the error goes with it and none such in
@@ -13,18 +15,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from datamodules import Trajectories
+from datamodules.unpaired import read_all
 from idapt_pl.diagnosis import Diagnosis, diagnose
-from idapt_pl.diagnosis.search import Settings
+from idapt_pl.diagnosis.data import recordings
+from idapt_pl.diagnosis.library import library, surroundings
+from idapt_pl.diagnosis.search import Settings, choose
 from idapt_pl.domains import Domain
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.forecast_search import rounded, search, told
+from idapt_pl.forecasts import STEPS, Compared, by_images, by_states, sightings
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import GAIN, Sensor, cut, read_calibrated
+from idapt_pl.sensing import GAIN, Calibration, Readings, Sensor, cut, read_calibrated
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -154,7 +163,7 @@ def shown_by(found: dict, made_up: Sequence[dict]) -> bool:
 
 def discover(
     task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
-    control: Sequence[Path], options: Discovery, seed: int,
+    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
 ) -> dict:  # fmt: skip
     """Diagnose the source by the target's images, and the sensor by the source's.
 
@@ -167,6 +176,7 @@ def discover(
         control: trajectory files of the source as it is now, with images and states; the sensor was not fitted to them.
         options: what to look for.
         seed: of the choice of windows.
+        make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
 
     Returns:
         ``effects`` found (a list as in effects.yaml), ``disbelieved`` ones, and those ``left_out`` since too little
@@ -174,12 +184,14 @@ def discover(
         channel's error in the target to that in the control, and the share of what is beyond the control's that was
         ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
         ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
-        degree of freedom, whether its velocities are ``smoothed`` (learned from simulations), the ``unknown_gain`` that
-        intervals allow for, and the shares of frames left ``unread``; the error ``before`` and ``after``, in units of
-        the sensor's noise, and that of the channels of ``target`` and ``control``.
+        degree of freedom, the ``unknown_gain`` that intervals allow for, and the shares of frames left ``unread``; the
+        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
+        ``control``.
     """
     model = source.compile()
-    readings = read_calibrated(sensor, source, target, control, G, seed)
+    readings = read_calibrated(sensor, source, target, control, G, seed, learn=False)
+    if readings.calibration.vague:
+        return discover_by_forecasts(task, source, sensor, G, target, control, options, seed, make_env, readings)
     read, calibration = (readings.target, readings.control), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
@@ -216,10 +228,66 @@ def discover(
         "removed": {"target": gone, "control": made_up_share},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
-        "smoothed": calibration.smoothed,
         "unknown_gain": GAIN,
         "before": seen.report["error"]["before"],
         "after": seen.report["error"]["after"],
         "target": errors[0],
         "control": errors[1],
+    }
+
+
+def discover_by_forecasts(
+    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
+    readings: Readings,
+) -> dict:  # fmt: skip
+    """As :func:`discover`, for a sensor that cannot tell how fast things move; ``readings`` are what it read.
+
+    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, and ``forecasts`` is true.
+    """
+    model, dt = source.compile(), readings.target.dt
+    compared, calibration = Compared(task, model), readings.calibration
+    seen = sightings(sensor, read_all(target), dt, compared)
+    known = sightings(sensor, read_all(control, also="state"), dt, compared, G)
+    exact = by_images(seen, sensor, G, compared, make_env, dt)
+    quick = by_states(seen, compared, calibration.position, dt, seed)
+    recorded, _ = recordings(model, readings.target)
+    around = surroundings(model, recorded, STEPS * dt)
+    candidates = [c for c in choose(library(source.spec(), around), options.candidates) if c.size == 1]
+    found, next_best = search(source, candidates, quick, exact, options.max_effects, seed)
+
+    repaired = source.with_effects(*(s.effect for s in found))
+    in_control = replace(exact, sightings=known)
+    before, after, there = (
+        float(f.scores(d, seed).mean()) for f, d in ((exact, source), (exact, repaired), (in_control, source))
+    )
+    return {
+        "effects": [s.effect.to_dict() for s in found],
+        "disbelieved": [s.effect.to_dict() for s in next_best],
+        "left_out": [],
+        "estimates": [told(s, model, before) for s in (*found, *next_best)],
+        "made_up": [],
+        "excess": before / there,
+        "explained": (before - after) / (before - there) if before > there else 0.0,
+        "removed": {"target": 1 - after / before, "control": 0.0},
+        "unread": {name: round(share, 5) for name, share in readings.unread.items()},
+        "sensor": calibration.to_dict(model, task.unseen),
+        "forecasts": True,
+        "before": before,
+        "after": after,
+        "target": told_channels(compared, calibration, exact.errors(source, seed), exact.errors(repaired, seed)),
+        "control": told_channels(compared, calibration, *[in_control.errors(source, seed)] * 2),
+    }
+
+
+def told_channels(compared: Compared, calibration: Calibration, before: np.ndarray, after: np.ndarray) -> dict:
+    """Errors of what is compared, as channels of report.json."""
+    joints = [compared.model.joint(compared.model.dof_jntid[i]) for i in compared.dofs]
+    turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
+    names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
+    units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
+    noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
+    return {
+        name: {"before": rounded(b), "after": rounded(a), "noise": rounded(n), "unit": unit}
+        for name, b, a, n, unit in zip(names, before, after, noise, units, strict=True)
     }

@@ -63,12 +63,16 @@ class Sensor:
             ValueError: if the task's states do not tell positions.
         """
         data, read = read_all(files, also="state" if G else None), []
-        for episode in data if G is None else (seen_through(G, e) for e in data):
-            states = estimates(FrameStacks([episode], self.frame_stack), self.predictor)
-            qpos, qvel = self.task.motion(states, data.dt)
+        for episode in data:
+            qpos, qvel = self.motion(episode, data.dt, G)
             known = {"state": episode.observations["state"]} if G else {}
             read.append(Episode(episode.actions, {"qpos": qpos, "qvel": qvel} | known))
         return Trajectories(tuple(read), data.dt, "read from images")
+
+    def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
+        """``qpos`` and ``qvel`` of one episode."""
+        seen = FrameStacks([episode if G is None else seen_through(G, episode)], self.frame_stack)
+        return self.task.motion(estimates(seen, self.predictor), dt)
 
 
 @dataclass(frozen=True)
@@ -180,8 +184,9 @@ class Readings:
 
 
 def read_calibrated(
-    sensor: Sensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation, seed: int
-) -> Readings:
+    sensor: Sensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation, seed: int,
+    learn: bool = True,
+) -> Readings:  # fmt: skip
     """Read recordings of the target, and learn from the source's how far that is off.
 
     Where the sensor cannot tell how fast things move, velocities are learned from simulations
@@ -194,13 +199,14 @@ def read_calibrated(
         control: trajectory files of the source with images and states; best such that the sensor was not fitted to.
         G: shows source images as target images.
         seed: of those simulations.
+        learn: velocities, where the sensor is vague; else it stays so.
     """
     task, model = sensor.task, source.compile()
     given = {"target": sensor.read(target), "control": sensor.read(control, G)}
     kept = {k: readable(task, model, read, given["control"]) for k, read in given.items()}
     unread = {k: 1 - sum(len(e) + 1 for e in kept[k]) / sum(len(e) + 1 for e in given[k]) for k in given}
     calibration, unmeasured = calibrate(task, model, kept["control"]), tuple(task.unseen)
-    if calibration.vague:
+    if calibration.vague and learn:
         commands = [e.actions for read in given.values() for e in read]
         reader = learn_velocities(task, source, commands, typical_errors(task, model, kept["control"]), seed)
         kept = {k: smoothed(read, reader) for k, read in kept.items()}

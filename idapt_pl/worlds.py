@@ -40,7 +40,7 @@ class Worlds:
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
-        return self._seen(self.source_domain, num_envs)
+        return self.seen(self.source_domain, num_envs)
 
     def source_states(self, num_envs: int) -> VectorStateEnv:
         """The source: state and reward; nothing is rendered."""
@@ -63,9 +63,10 @@ class Worlds:
 
     def rewarded_target(self, num_envs: int) -> VectorImageEnv:
         """The target with its reward: for evaluation and the oracle reference, never for the method."""
-        return self._seen(self.target_domain, num_envs)
+        return self.seen(self.target_domain, num_envs)
 
-    def _seen(self, domain: Domain, num_envs: int) -> VectorImageEnv:
+    def seen(self, domain: Domain, num_envs: int) -> VectorImageEnv:
+        """A domain as the run's images show it."""
         return VectorImageEnv(
             self.task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes
         )

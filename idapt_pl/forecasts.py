@@ -1,0 +1,198 @@
+"""How well a source with some effects tells beforehand what a sensor reads of the target.
+
+The commands of the target's recordings are played in it from resets, several times over. What it looks like is seen
+through G and read by the same sensor, so that what G and the sensor get wrong is on both sides of the comparison, and
+windows need not begin with velocities that no image shows. Episodes must begin alike in both domains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from datamodules import Episode
+from idapt_pl.diagnosis.data import difference
+from idapt_pl.domains import Domain
+from idapt_pl.envs import VectorImageEnv, VectorStateEnv
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.sensing import Sensor
+from idapt_pl.tasks import Task
+
+MEMBERS = 4
+"""Of an ensemble: how often commands are played, each time from another reset."""
+STEPS = 25
+"""Control steps that are forecast: what follows says ever less, since contacts multiply what resets differ by."""
+EPISODES = 12
+"""That are forecast."""
+SHORTEST = 6
+"""Control steps that an episode must last to be of use."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The beginning of an episode as a sensor read it: commands (T, nu) and what is compared, (T+1, d)."""
+
+    commands: np.ndarray
+    read: np.ndarray
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """What was read of the target, and how to forecast it.
+
+    Attributes:
+        sightings: of the target.
+        make_env: simulations of a domain side by side, a member of an ensemble each.
+        read: what is compared, (t+1, d), of what a member showed while commands (t, nu) were played.
+        scale: of what is compared, (d,).
+    """
+
+    sightings: tuple[Sighting, ...]
+    make_env: Callable[[Domain], VectorImageEnv]
+    read: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    scale: np.ndarray
+
+    def ensembles(self, domain: Domain, seed: int, count: int | None = None) -> list[np.ndarray]:
+        """What the first ``count`` sightings were to be expected to show in a domain, (members, T+1, d) each.
+
+        Resets are those of the seed whatever the domain is.
+        """
+        with closing(self.make_env(domain)) as env:
+            played = [play(env, s.commands, seed + k) for k, s in enumerate(self.sightings[:count])]
+        pairs = zip(self.sightings, played, strict=False)
+        return [
+            np.stack([held(self.read(x, s.commands[: len(x) - 1]), len(s.read)) for x in members])
+            for s, members in pairs
+        ]
+
+    def scores(self, domain: Domain, seed: int, count: int | None = None) -> np.ndarray:
+        """Energy score of every sighting, (n,); less is better."""
+        expected = self.ensembles(domain, seed, count)
+        pairs = zip(expected, self.sightings, strict=False)
+        return np.array([energy_score(x / self.scale, s.read / self.scale) for x, s in pairs])
+
+    def errors(self, domain: Domain, seed: int) -> np.ndarray:
+        """Root mean square of what was read less the ensemble's mean, of each thing compared, (d,)."""
+        pairs = zip(self.ensembles(domain, seed), self.sightings, strict=True)
+        return np.sqrt(np.mean(np.concatenate([np.square(x.mean(0) - s.read)[1:] for x, s in pairs]), 0))
+
+
+def energy_score(members: np.ndarray, observed: np.ndarray) -> float:
+    """E|X - y| - ½ E|X - X'|, mean over time but for the first moment (Gneiting & Raftery 2007, eq. 21).
+
+    Proper: no other forecast has a lower expectation than the distribution that y is of.
+
+    Args:
+        members: X, (m, T+1, d) with m > 1.
+        observed: y, (T+1, d).
+    """
+    m = len(members)
+    off = np.linalg.norm(members - observed, axis=-1).mean(0)
+    apart = np.linalg.norm(members[:, None] - members[None], axis=-1).sum((0, 1)) / (m * (m - 1))
+    return float((off - 0.5 * apart)[1:].mean())
+
+
+def play(env: VectorImageEnv, commands: np.ndarray, seed: int) -> list[np.ndarray]:
+    """What simulations show when commands (T, nu) are played from resets: newest frames or states, (t+1, ...) each.
+
+    Fewer than T+1 where an episode was over before.
+    """
+    newest = (lambda obs: obs["state"]) if isinstance(env, VectorStateEnv) else (lambda obs: obs["pixels"][:, -1])
+    obs, _ = env.reset(seed=seed)
+    shown, running = [[x] for x in newest(obs)], np.ones(env.num_envs, bool)
+    for command in commands:
+        obs, _, terminations, truncations, infos = env.step(np.repeat(command[None], env.num_envs, 0))
+        over = terminations | truncations
+        seen = newest(infos["final_obs"] if over.any() else obs)
+        for i in np.flatnonzero(running):
+            shown[i].append(seen[i])
+        running &= ~over
+        if not running.any():
+            break
+    return [np.stack(x) for x in shown]
+
+
+def held(x: np.ndarray, length: int) -> np.ndarray:
+    """A sequence made so long by its last row: what was over before stays as it was."""
+    return np.concatenate([x, np.repeat(x[-1:], length - len(x), 0)])
+
+
+class Compared:
+    """What is compared of a motion: positions and velocities of the joints that a state tells of.
+
+    Args:
+        task: whose states they are.
+        model: likewise.
+    """
+
+    def __init__(self, task: Task, model: mujoco.MjModel) -> None:
+        self.task, self.model = task, model
+        self.dofs = np.array([i for i, j in enumerate(model.dof_jntid) if model.joint(j).name not in task.unseen])
+
+    def positions(self, qpos: np.ndarray) -> np.ndarray:
+        """From the model's own, (n, dofs)."""
+        return difference(self.model, self.model.qpos0, qpos)[:, self.dofs]
+
+    def __call__(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """(n, 2 dofs)."""
+        return np.concatenate([self.positions(qpos), qvel[:, self.dofs]], 1)
+
+
+def sightings(
+    sensor: Sensor, episodes: Sequence[Episode], dt: float, compared: Compared, G: VisualTransformation | None = None
+) -> tuple[Sighting, ...]:
+    """The beginnings of episodes, as a sensor reads them; ``G`` shows it source images."""
+    long = [e for e in episodes if len(e) >= SHORTEST][:EPISODES]
+    short = [Episode(e.actions[:STEPS], {k: v[: STEPS + 1] for k, v in e.observations.items()}) for e in long]
+    return tuple(Sighting(e.actions, compared(*sensor.motion(e, dt, G))) for e in short)
+
+
+def by_images(
+    seen: tuple[Sighting, ...], sensor: Sensor, G: VisualTransformation, compared: Compared,
+    make_env: Callable[[Domain, int], VectorImageEnv], dt: float,
+) -> Forecasts:  # fmt: skip
+    """Forecasts that are rendered, seen through G and read by the sensor.
+
+    Args:
+        seen: of the target.
+        sensor: reads target images.
+        G: shows source images as target images.
+        compared: makes what is compared of motions.
+        make_env: simulations of a domain with images, so many side by side.
+        dt: control period, s.
+    """
+
+    def read(frames: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        states = np.zeros((len(frames), 1), np.float32)  # not looked at
+        return compared(*sensor.motion(Episode(commands, {"pixels": frames, "state": states}), dt, G))
+
+    return Forecasts(seen, lambda domain: make_env(domain, MEMBERS), read, spread(seen))
+
+
+def by_states(seen: tuple[Sighting, ...], compared: Compared, noise: np.ndarray, dt: float, seed: int) -> Forecasts:
+    """Forecasts of positions alone, without images: quick, and what the sensor gets wrong is white noise to them.
+
+    Args:
+        seen: of the target.
+        compared: makes what is compared of motions.
+        noise: standard deviation of the sensor's errors of positions, (nv,).
+        dt: control period, s.
+        seed: of those errors.
+    """
+    n, noise = len(compared.dofs), noise[compared.dofs]
+    positions = tuple(Sighting(s.commands, s.read[:, :n]) for s in seen)
+
+    def read(states: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        exact = compared.positions(compared.task.motion(states.astype(float), dt)[0])
+        return exact + noise * np.random.default_rng(seed).normal(size=exact.shape)
+
+    return Forecasts(positions, lambda d: VectorStateEnv(compared.task, d, MEMBERS), read, spread(positions))
+
+
+def spread(seen: Sequence[Sighting]) -> np.ndarray:
+    """Standard deviation of what was read, (d,)."""
+    return np.concatenate([s.read for s in seen]).std(0) + 1e-9
