@@ -18,11 +18,11 @@ from idapt_pl.domains.effects import Effect
 from idapt_pl.forecasts import Forecasts
 
 log = logging.getLogger(__name__)
-TIMES = (0.5, 0.75, 1.5, 3.0)
+TIMES = (0.4, 0.75, 1.5, 3.0, 8.0)
 """Of the nominal value where there is one: what the screen tries."""
 SCALES = (0.3, 1.0, 3.0)
 """Scales beyond the nominal value: likewise."""
-SCREENED = 4
+SCREENED = 6
 """Sightings that the screen forecasts."""
 FINALISTS = 6
 """Candidates that are judged by images."""

@@ -47,12 +47,14 @@ class Forecasts:
     Attributes:
         sightings: of the target.
         make_env: simulations of a domain side by side, a member of an ensemble each.
+        shown: what of their observations is kept, (members, ...).
         read: what is compared, (t+1, d), of what a member showed while commands (t, nu) were played.
         scale: of what is compared, (d,).
     """
 
     sightings: tuple[Sighting, ...]
     make_env: Callable[[Domain], VectorImageEnv]
+    shown: Callable[[dict[str, np.ndarray]], np.ndarray]
     read: Callable[[np.ndarray, np.ndarray], np.ndarray]
     scale: np.ndarray
 
@@ -62,7 +64,7 @@ class Forecasts:
         Resets are those of the seed whatever the domain is.
         """
         with closing(self.make_env(domain)) as env:
-            played = [play(env, s.commands, seed + k) for k, s in enumerate(self.sightings[:count])]
+            played = [play(env, s.commands, seed + k, self.shown) for k, s in enumerate(self.sightings[:count])]
         pairs = zip(self.sightings, played, strict=False)
         return [
             np.stack([held(self.read(x, s.commands[: len(x) - 1]), len(s.read)) for x in members])
@@ -96,24 +98,25 @@ def energy_score(members: np.ndarray, observed: np.ndarray) -> float:
     return float((off - 0.5 * apart)[1:].mean())
 
 
-def play(env: VectorImageEnv, commands: np.ndarray, seed: int) -> list[np.ndarray]:
-    """What simulations show when commands (T, nu) are played from resets: newest frames or states, (t+1, ...) each.
+def play(
+    env: VectorImageEnv, commands: np.ndarray, seed: int, shown: Callable[[dict[str, np.ndarray]], np.ndarray]
+) -> list[np.ndarray]:
+    """What simulations show when commands (T, nu) are played from resets, (t+1, ...) each.
 
     Fewer than T+1 where an episode was over before.
     """
-    newest = (lambda obs: obs["state"]) if isinstance(env, VectorStateEnv) else (lambda obs: obs["pixels"][:, -1])
     obs, _ = env.reset(seed=seed)
-    shown, running = [[x] for x in newest(obs)], np.ones(env.num_envs, bool)
+    kept, running = [[x] for x in shown(obs)], np.ones(env.num_envs, bool)
     for command in commands:
         obs, _, terminations, truncations, infos = env.step(np.repeat(command[None], env.num_envs, 0))
         over = terminations | truncations
-        seen = newest(infos["final_obs"] if over.any() else obs)
+        newest = shown(infos["final_obs"] if over.any() else obs)
         for i in np.flatnonzero(running):
-            shown[i].append(seen[i])
+            kept[i].append(newest[i])
         running &= ~over
         if not running.any():
             break
-    return [np.stack(x) for x in shown]
+    return [np.stack(x) for x in kept]
 
 
 def held(x: np.ndarray, length: int) -> np.ndarray:
@@ -170,7 +173,10 @@ def by_images(
         states = np.zeros((len(frames), 1), np.float32)  # not looked at
         return compared(*sensor.motion(Episode(commands, {"pixels": frames, "state": states}), dt, G))
 
-    return Forecasts(seen, lambda domain: make_env(domain, MEMBERS), read, spread(seen))
+    def newest(obs: dict[str, np.ndarray]) -> np.ndarray:
+        return obs["pixels"][:, -1]
+
+    return Forecasts(seen, lambda domain: make_env(domain, MEMBERS), newest, read, spread(seen))
 
 
 def by_states(seen: tuple[Sighting, ...], compared: Compared, noise: np.ndarray, dt: float, seed: int) -> Forecasts:
@@ -190,7 +196,10 @@ def by_states(seen: tuple[Sighting, ...], compared: Compared, noise: np.ndarray,
         exact = compared.positions(compared.task.motion(states.astype(float), dt)[0])
         return exact + noise * np.random.default_rng(seed).normal(size=exact.shape)
 
-    return Forecasts(positions, lambda d: VectorStateEnv(compared.task, d, MEMBERS), read, spread(positions))
+    def state(obs: dict[str, np.ndarray]) -> np.ndarray:
+        return obs["state"]
+
+    return Forecasts(positions, lambda d: VectorStateEnv(compared.task, d, MEMBERS), state, read, spread(positions))
 
 
 def spread(seen: Sequence[Sighting]) -> np.ndarray:

@@ -1,0 +1,115 @@
+"""Forecasts of what a sensor reads: a proper score, the same resets for all, planted effects found and no others."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.domains.effects import BodyMass, JointDamping
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.forecast_search import Suspect, refine, unsure, values
+from idapt_pl.forecasts import Forecasts, Sighting, energy_score, held, play
+from idapt_pl.tasks import make_task
+
+TASK = make_task("inverted_pendulum")
+SOURCE = TASK.domain("source")
+
+
+def state(obs):
+    return obs["state"]
+
+
+def test_energy_score_of_two_members_by_hand():
+    """y = 1, X = 0 and 3: E|X - y| = 1.5, ½ E|X - X'| = 1.5; the first moment does not count."""
+    members, observed = np.array([[[9.0], [0.0]], [[5.0], [3.0]]]), np.array([[7.0], [1.0]])
+    assert energy_score(members, observed) == pytest.approx(0.0)
+    assert energy_score(members, np.array([[7.0], [5.0]])) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("shift", "width"), [(0.5, 1.0), (0.0, 2.0), (0.0, 0.3)])
+def test_the_score_is_proper(shift, width):
+    """The distribution that was drawn from scores best: not one beside it, nor a wider or a narrower one."""
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=(4000, 1, 2, 3))
+
+    def mean_score(shift, width):
+        x = shift + width * rng.normal(size=(4000, 4, 2, 3))
+        return np.mean([energy_score(m, o[0]) for m, o in zip(x, y, strict=True)])
+
+    assert mean_score(shift, width) > mean_score(0.0, 1.0) + 0.03
+
+
+def test_commands_are_played_from_the_same_resets_whatever_the_domain():
+    commands = np.full((30, 1), 0.5, np.float32)
+    shown = []
+    for domain in (SOURCE, SOURCE.with_effects(BodyMass("pole", 200.0))):
+        with closing(VectorStateEnv(TASK, domain, 3)) as env:
+            shown.append(play(env, commands, 5, state))
+    light, heavy = shown
+    for a, b in zip(light, heavy, strict=True):
+        assert np.array_equal(a[0], b[0]), "resets"
+        assert not np.allclose(a[3], b[3]), "motions"
+    assert len({tuple(a[0]) for a in light}) == 3, "members differ"
+    assert all(len(a) <= 31 for a in light) and min(len(a) for a in light) < 31, "a pushed pole falls"
+
+
+def test_what_was_over_before_stays_as_it_was():
+    assert held(np.array([[1.0], [2.0]]), 4).tolist() == [[1.0], [2.0], [2.0], [2.0]]
+
+
+def pendulum_forecasts(hidden, count=12):
+    """States themselves are what is read."""
+    rng, seen = np.random.default_rng(0), []
+    with closing(VectorStateEnv(TASK, SOURCE.with_effects(*hidden))) as env:
+        for k in range(count):
+            commands = rng.uniform(-3, 3, (10, 1)).astype(np.float32)
+            read = play(env, commands, 100 + k, state)[0]
+            seen.append(Sighting(commands[: len(read) - 1], read))
+    return Forecasts(tuple(seen), lambda d: VectorStateEnv(TASK, d, 4), state, lambda x, a: x, np.ones(4))
+
+
+@pytest.mark.parametrize("mass", [50.0, 200.0])
+def test_the_right_dynamics_forecast_best(mass):
+    forecasts = pendulum_forecasts((BodyMass("pole", mass),))
+    tried = (SOURCE.with_effects(BodyMass("pole", m)) for m in (0.5 * mass, mass, 2 * mass))
+    scores = [forecasts.scores(d, 0).mean() for d in (SOURCE, *tried)]
+    assert np.argmin(scores) == 2, scores
+    assert len(forecasts.scores(SOURCE, 0, 3)) == 3
+    assert np.array_equal(forecasts.scores(SOURCE, 0), forecasts.scores(SOURCE, 0)), "one seed, one score"
+    assert forecasts.errors(SOURCE, 0).shape == (4,)
+
+
+class Valley:
+    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each sighting."""
+
+    lowest = np.log(80.0) + 0.1 * np.linspace(-1, 1, 12)
+
+    def scores(self, domain, seed, count=None):
+        mass = float(domain.compile().body("pole").mass[0])
+        return 1.0 + np.square(np.log(mass) - self.lowest)
+
+
+def pole():
+    """The pole's mass as a candidate."""
+    return Candidate(BodyMass, "pole", ("mass",), (4.895,), (1.0,))
+
+
+@pytest.mark.parametrize("start", [50.0, 80.0, 150.0])
+def test_an_estimate_goes_to_the_lowest_point_and_its_interval_is_that_of_a_mean(start):
+    c = pole()
+    first = Valley().scores(SOURCE.with_effects(c.effect([start])), 0)
+    found = refine(SOURCE, Suspect(c, start, first), Valley(), 0)
+    assert found.x == pytest.approx(80.0, rel=0.01)
+    half = 2.201 * Valley.lowest.std(ddof=1) / np.sqrt(12)  # Student's t, 11 degrees of freedom
+    assert np.log(found.interval) == pytest.approx(np.log(found.x) + np.array([-half, half]), rel=0.01)
+
+
+def test_no_interval_where_scores_do_not_bend():
+    assert unsure(np.ones(5), -1.0, 0.2) is None
+
+
+def test_first_values_are_on_both_sides_and_inside_the_bounds():
+    assert values(pole())[0] == pytest.approx(0.4 * 4.895) and values(pole())[-1] == pytest.approx(8 * 4.895)
+    damping = Candidate(JointDamping, "hinge", ("damping",), (0.0,), (2.0,))
+    assert values(damping) == pytest.approx([0.6, 2.0, 6.0])
