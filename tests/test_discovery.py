@@ -10,11 +10,12 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, believable, beyond_the_control, discover, removed, shown_by, worth_it
+from idapt_pl.discovery import Discovery, discover
+from idapt_pl.discovery.forecasts import play
+from idapt_pl.discovery.windows import believable, beyond_the_control, removed, shown_by, worth_it
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.domains.paths import SensorGain
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.forecasts import play
 from idapt_pl.sensing import GAIN, Calibration, Sensor, calibrate, readable, used
 from idapt_pl.tasks import make_task
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.discovery.forecasts import Forecasts, Sighting, energy_score, held, play
+from idapt_pl.discovery.search import Suspect, refine, unsure, values
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.forecast_search import Suspect, refine, unsure, values
-from idapt_pl.forecasts import Forecasts, Sighting, energy_score, held, play
 from idapt_pl.tasks import make_task
 
 TASK = make_task("inverted_pendulum")

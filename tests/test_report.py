@@ -140,7 +140,7 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     hinge = {"noise": 0.0123, "before": 0.456, "after": 0.0135, "unit": "rad"}
     effects |= {"before": 17.5, "after": 1.04, "excess": 25.0, "target": {"hinge position": hinge}}
     effects["control"] = {"hinge position": hinge | {"before": 0.0182}}
-    effects |= {"unread": {"target": 0.0125, "control": 0.0}, "unknown_gain": 0.05, "smoothed": True}
+    effects |= {"unread": {"target": 0.0125, "control": 0.0}, "unknown_gain": 0.05}
     (copied / "step_01/selection.json").write_text(json.dumps(decision))
     (copied / "step_02/effects.json").write_text(json.dumps(effects))
     (copied / "step_00/oracle_evaluation.json").write_text(json.dumps({"mean": 987.0, "std": 1.0}))
@@ -152,8 +152,13 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     assert "17.5 times the sensor's noise away" in text and "1.04 times with all the effects found" in text
     assert "hinge position rad 0.0123 0.456 0.0135 0.0182" in text
     assert "left out: 1.25 % of the target's, 0 % of the control's" in text.replace("&#x27;", "'")
-    assert "readings that are 5 % too large or small" in text and "How fast things move cannot be told" in text
+    assert "readings that are 5 % too large or small" in text
     assert "987 ± 1.0 oracle" in text
+    (copied / "step_02/effects.json").write_text(json.dumps(effects | {"forecasts": True, "left_out": []}))
+    text = report(copied).text
+    assert "energy score of what is read of the target is 17.5, and 1.04 with the effects added" in text
+    assert "(less is better; 0.7 where the source forecasts itself)" in text
+    assert "not believed: forecasts are not surely better" in text and "the source forecasts these" in text
 
 
 def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):

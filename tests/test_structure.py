@@ -84,6 +84,13 @@ def test_the_teacher_knows_no_target():
         assert not forbidden & names_used(ROOT / "idapt_pl" / name)
 
 
+def test_what_looks_for_effects_knows_no_target_but_its_recordings():
+    forbidden = {"rewarded_target", "blind_target", "target_domain", "BlindTarget", "rewards"}
+    files = [*(ROOT / "idapt_pl/discovery").glob("*.py"), *(ROOT / "idapt_pl").glob("sensing.py")]
+    assert len(files) > 4
+    assert [f.name for f in files if forbidden & names_used(f)] == []
+
+
 def test_algorithm_1_branches_on_no_stage_name():
     stages = {"state_predictor", "visual", "dynamics", "policy", "source_policy"}
     for node in ast.walk(ast.parse((ROOT / "idapt_pl/grounding.py").read_text())):

@@ -24,6 +24,14 @@ def residuals(effects: dict) -> str:
     if "before" not in effects:
         return ""
     before, after, excess = (number(effects[k]) for k in ("before", "after", "excess"))
+    if effects.get("forecasts"):
+        found = f", and {after} with the effects added" if effects["effects"] else ""
+        return paragraph(
+            "How fast things move cannot be told from these images, so effects are judged by forecasts: the target's "
+            "commands are played in the source from resets, and its images are seen through G and read as the target's "
+            f"are. The energy score of what is read of the target is {before}{found} (less is better; "
+            f"{number(effects['before'] / effects['excess'])} where the source forecasts itself)."
+        )
     then = f", and {after} times with all the effects found" if effects["estimates"] else ""
     return paragraph(
         f"Replaying the target's actions, the source is {before} times the sensor's noise away from what the target's "
@@ -39,6 +47,7 @@ def found(effects: dict, model: mujoco.MjModel) -> list[str]:
     for e in (*effects.get("estimates", []), *left_out):
         known = (e["effect"], e["target"]) in believed
         doubt = "too little goes with it" if e in left_out else "it may be an error of the estimator"
+        doubt = "forecasts are not surely better" if effects.get("forecasts") else doubt
         for name, p in e["parameters"].items():
             value, interval = estimate(p["estimate"], p["ci95"])
             fate = "added to the source" if known else f"not believed: {doubt}"
@@ -62,13 +71,12 @@ def channels(effects: dict) -> str:
     left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
     gain = effects.get("unknown_gain")
     allowed = f" Intervals allow for readings that are {number(100 * gain)} % too large or small." if gain else ""
-    smoothed = " How fast things move cannot be told from these images; it was learned from simulations."
+    does = "forecasts" if effects.get("forecasts") else "replays"
     told = paragraph(
         "Root mean square errors. The sensor is what estimates states from images; its error is measured on images of "
-        "the source, as G shows them, whose states are known. Control: the source replays these, before any effect."
+        f"the source, as G shows them, whose states are known. Control: the source {does} these, before any effect."
         + left_out
-        + allowed
-        + smoothed * effects.get("smoothed", False),
+        + allowed,
         "small",
     )
     title = "Channel by channel, and how well the images are read"

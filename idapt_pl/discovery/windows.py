@@ -1,39 +1,26 @@
-"""Which physical effect does the source lack? Found from the target's images and actions alone.
+"""Effects found by replaying short windows of what a sensor read; for sensors that tell how fast things move.
 
-An estimator of the state, fitted to what G shows of the source, turns the target's images into positions and
-velocities. Where it cannot tell how fast things move, effects are judged by how well the source with them forecasts
-what it reads (:mod:`idapt_pl.forecast_search`). Else the diagnosis looks for the effect with which the source replays
-it. It is a poor sensor, with errors that depend on the
-state, so the same diagnosis is made a second time on recordings of the source, seen through G: there nothing is
-missing, and what is found is an error of the sensor. What is found in the target is believed if the error there is
-clearly larger and most of the difference goes with it, or if a good share of the error goes with it and none such in
-the control; and if it is something else, or far more of the same. Of several effects each must say so for itself, of
-what is left when it is left out.
+The diagnosis looks for the effect with which the source replays what was read of the target. The sensor errs in ways
+that depend on the state, so the same diagnosis is made a second time on recordings of the source, seen through G: there
+nothing is missing, and what is found is an error of the sensor. What is found in the target is believed if the error
+there is clearly larger and most of the difference goes with it, or if a good share of the error goes with it and none
+such in the control; and if it is something else, or far more of the same. Of several effects each must say so for
+itself, of what is left when it is left out.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from datamodules import Trajectories
-from datamodules.unpaired import read_all
 from idapt_pl.diagnosis import Diagnosis, diagnose
-from idapt_pl.diagnosis.data import recordings
-from idapt_pl.diagnosis.library import library, surroundings
-from idapt_pl.diagnosis.search import Settings, choose
+from idapt_pl.diagnosis.search import Settings
 from idapt_pl.domains import Domain
-from idapt_pl.envs import VectorImageEnv
-from idapt_pl.forecast_search import rounded, search, told
-from idapt_pl.forecasts import STEPS, Compared, by_images, by_states, sightings
-from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import GAIN, Calibration, Readings, Sensor, cut, read_calibrated
+from idapt_pl.sensing import GAIN, Readings, cut
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -52,26 +39,6 @@ Motions in the target can be calmer than those of the control, and easier to rea
 than the control's, whatever is missing. Where nothing was missing up to 0.09 of it went on the pendulum, none on
 HalfCheetah, and 0.33 on Walker2d, by velocities that its sensor could not read (``results/discovery.csv``, before and
 after); 0.13 now."""
-CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
-"""What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
-
-
-@dataclass(frozen=True)
-class Discovery:
-    """Whether and how the loop looks for effects that the source lacks.
-
-    Args:
-        discover: look for them in every grounding step and add what is found to the source.
-        candidates: names of the effects to consider.
-        max_effects: stop after so many in a grounding step.
-        looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
-            frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
-    """
-
-    discover: bool = False
-    candidates: tuple[str, ...] = CANDIDATES
-    max_effects: int = 2
-    looks: bool = False
 
 
 def pieces(data: Trajectories, length: int) -> Trajectories:
@@ -161,37 +128,20 @@ def shown_by(found: dict, made_up: Sequence[dict]) -> bool:
     return any(change(e) > 0.5 * change(found) for e in same)
 
 
-def discover(
-    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
-    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
-) -> dict:  # fmt: skip
-    """Diagnose the source by the target's images, and the sensor by the source's.
+def by_windows(task: Task, source: Domain, readings: Readings, options: Discovery, seed: int) -> dict:
+    """Diagnose the source by what was read of the target, and the sensor by what it read of the source.
 
     Args:
         task: whose states tell positions.
-        source: the domain to be repaired, with what has been found so far.
-        sensor: reads target images.
-        G: shows source images as target images.
-        target: trajectory files of the target; images and actions are all that is used.
-        control: trajectory files of the source as it is now, with images and states; the sensor was not fitted to them.
+        source: the domain to be repaired.
+        readings: of a sensor that tells how fast things move.
         options: what to look for.
         seed: of the choice of windows.
-        make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
 
     Returns:
-        ``effects`` found (a list as in effects.yaml), ``disbelieved`` ones, and those ``left_out`` since too little
-        goes with them beyond the others (as in report.json); ``excess``, the largest ratio of a
-        channel's error in the target to that in the control, and the share of what is beyond the control's that was
-        ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
-        ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
-        degree of freedom, the ``unknown_gain`` that intervals allow for, and the shares of frames left ``unread``; the
-        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
-        ``control``.
+        As of :func:`idapt_pl.discovery.discover`.
     """
     model = source.compile()
-    readings = read_calibrated(sensor, source, target, control, G, seed, learn=False)
-    if readings.calibration.vague:
-        return discover_by_forecasts(task, source, sensor, G, target, control, options, seed, make_env, readings)
     read, calibration = (readings.target, readings.control), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
     length = max(SHORTEST, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
@@ -233,61 +183,4 @@ def discover(
         "after": seen.report["error"]["after"],
         "target": errors[0],
         "control": errors[1],
-    }
-
-
-def discover_by_forecasts(
-    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
-    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
-    readings: Readings,
-) -> dict:  # fmt: skip
-    """As :func:`discover`, for a sensor that cannot tell how fast things move; ``readings`` are what it read.
-
-    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, and ``forecasts`` is true.
-    """
-    model, dt = source.compile(), readings.target.dt
-    compared, calibration = Compared(task, model), readings.calibration
-    seen = sightings(sensor, read_all(target), dt, compared)
-    known = sightings(sensor, read_all(control, also="state"), dt, compared, G)
-    exact = by_images(seen, sensor, G, compared, make_env, dt)
-    quick = by_states(seen, compared, calibration.position, dt, seed)
-    recorded, _ = recordings(model, readings.target)
-    around = surroundings(model, recorded, STEPS * dt)
-    candidates = [c for c in choose(library(source.spec(), around), options.candidates) if c.size == 1]
-    found, next_best = search(source, candidates, quick, exact, options.max_effects, seed)
-
-    repaired = source.with_effects(*(s.effect for s in found))
-    in_control = replace(exact, sightings=known)
-    before, after, there = (
-        float(f.scores(d, seed).mean()) for f, d in ((exact, source), (exact, repaired), (in_control, source))
-    )
-    return {
-        "effects": [s.effect.to_dict() for s in found],
-        "disbelieved": [s.effect.to_dict() for s in next_best],
-        "left_out": [],
-        "estimates": [told(s, model, before) for s in (*found, *next_best)],
-        "made_up": [],
-        "excess": before / there,
-        "explained": (before - after) / (before - there) if before > there else 0.0,
-        "removed": {"target": 1 - after / before, "control": 0.0},
-        "unread": {name: round(share, 5) for name, share in readings.unread.items()},
-        "sensor": calibration.to_dict(model, task.unseen),
-        "forecasts": True,
-        "before": before,
-        "after": after,
-        "target": told_channels(compared, calibration, exact.errors(source, seed), exact.errors(repaired, seed)),
-        "control": told_channels(compared, calibration, *[in_control.errors(source, seed)] * 2),
-    }
-
-
-def told_channels(compared: Compared, calibration: Calibration, before: np.ndarray, after: np.ndarray) -> dict:
-    """Errors of what is compared, as channels of report.json."""
-    joints = [compared.model.joint(compared.model.dof_jntid[i]) for i in compared.dofs]
-    turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
-    names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
-    units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
-    noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
-    return {
-        name: {"before": rounded(b), "after": rounded(a), "noise": rounded(n), "unit": unit}
-        for name, b, a, n, unit in zip(names, before, after, noise, units, strict=True)
     }

@@ -13,9 +13,9 @@ from scipy.stats import t as student
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.statistics import paired_gain
 from idapt_pl.diagnosis.words import unit_at
+from idapt_pl.discovery.forecasts import Forecasts
 from idapt_pl.domains import Domain
 from idapt_pl.domains.effects import Effect
-from idapt_pl.forecasts import Forecasts
 
 log = logging.getLogger(__name__)
 TIMES = (0.4, 0.75, 1.5, 3.0, 8.0)

@@ -1,0 +1,119 @@
+"""Which physical effect does the source lack? Found from the target's images and actions alone.
+
+An estimator of the state, fitted to what G shows of the source, turns the target's images into positions and
+velocities. Where it tells how fast things move, windows of what it read are replayed; where it does not, the source
+with an effect must forecast what it reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from datamodules.unpaired import read_all
+from idapt_pl.diagnosis.data import recordings
+from idapt_pl.diagnosis.library import library, surroundings
+from idapt_pl.diagnosis.search import choose
+from idapt_pl.discovery.forecasts import STEPS, Compared, by_images, by_states, sightings
+from idapt_pl.discovery.options import Discovery
+from idapt_pl.discovery.search import rounded, search, told
+from idapt_pl.discovery.windows import by_windows
+from idapt_pl.domains import Domain
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.sensing import Calibration, Readings, Sensor, read_calibrated
+from idapt_pl.tasks import Task
+
+
+def discover(
+    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
+) -> dict:  # fmt: skip
+    """Find the effects that the target's images show the source to lack.
+
+    Args:
+        task: whose states tell positions.
+        source: the domain to be repaired, with what has been found so far.
+        sensor: reads target images.
+        G: shows source images as target images.
+        target: trajectory files of the target; images and actions are all that is used.
+        control: trajectory files of the source as it is now, with images and states; the sensor was not fitted to them.
+        options: what to look for.
+        seed: of the choice of windows.
+        make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
+
+    Returns:
+        ``effects`` found (a list as in effects.yaml), ``disbelieved`` ones, and those ``left_out`` since too little
+        goes with them beyond the others (as in report.json); ``excess``, the largest ratio of a
+        channel's error in the target to that in the control, and the share of what is beyond the control's that was
+        ``explained`` in that channel; the shares of the whole error ``removed`` in target and control; the diagnosis's
+        ``estimates``, and what the sensor ``made_up`` in the control; the errors of the ``sensor`` there, for each
+        degree of freedom, the ``unknown_gain`` that intervals allow for, and the shares of frames left ``unread``; the
+        error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
+        ``control``.
+    """
+    readings = read_calibrated(sensor, source, target, control, G, seed, learn=False)
+    if readings.calibration.vague:
+        return by_forecasts(task, source, sensor, G, target, control, options, seed, make_env, readings)
+    return by_windows(task, source, readings, options, seed)
+
+
+def by_forecasts(
+    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
+    readings: Readings,
+) -> dict:  # fmt: skip
+    """For a sensor that cannot tell how fast things move; ``readings`` are what it read, the rest as above.
+
+    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, and ``forecasts`` is true.
+    """
+    model, dt = source.compile(), readings.target.dt
+    compared, calibration = Compared(task, model), readings.calibration
+    seen = sightings(sensor, read_all(target), dt, compared)
+    known = sightings(sensor, read_all(control, also="state"), dt, compared, G)
+    exact = by_images(seen, sensor, G, compared, make_env, dt)
+    quick = by_states(seen, compared, calibration.position, dt, seed)
+    recorded, _ = recordings(model, readings.target)
+    around = surroundings(model, recorded, STEPS * dt)
+    candidates = [c for c in choose(library(source.spec(), around), options.candidates) if c.size == 1]
+    found, next_best = search(source, candidates, quick, exact, options.max_effects, seed)
+
+    repaired = source.with_effects(*(s.effect for s in found))
+    in_control = replace(exact, sightings=known)
+    before, after, there = (
+        float(f.scores(d, seed).mean()) for f, d in ((exact, source), (exact, repaired), (in_control, source))
+    )
+    return {
+        "effects": [s.effect.to_dict() for s in found],
+        "disbelieved": [s.effect.to_dict() for s in next_best],
+        "left_out": [],
+        "estimates": [told(s, model, before) for s in (*found, *next_best)],
+        "made_up": [],
+        "excess": before / there,
+        "explained": (before - after) / (before - there) if before > there else 0.0,
+        "removed": {"target": 1 - after / before, "control": 0.0},
+        "unread": {name: round(share, 5) for name, share in readings.unread.items()},
+        "sensor": calibration.to_dict(model, task.unseen),
+        "forecasts": True,
+        "before": before,
+        "after": after,
+        "target": told_channels(compared, calibration, exact.errors(source, seed), exact.errors(repaired, seed)),
+        "control": told_channels(compared, calibration, *[in_control.errors(source, seed)] * 2),
+    }
+
+
+def told_channels(compared: Compared, calibration: Calibration, before: np.ndarray, after: np.ndarray) -> dict:
+    """Errors of what is compared, as channels of report.json."""
+    joints = [compared.model.joint(compared.model.dof_jntid[i]) for i in compared.dofs]
+    turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
+    names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
+    units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
+    noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
+    return {
+        name: {"before": rounded(b), "after": rounded(a), "noise": rounded(n), "unit": unit}
+        for name, b, a, n, unit in zip(names, before, after, noise, units, strict=True)
+    }
