@@ -14,8 +14,9 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from cli.main import main
-from cli.run_folder import open_run
+from cli.run_folder import load_policy, load_visual, open_run
 from datamodules import read_trajectories
+from idapt_pl.discovery import Discovery
 from idapt_pl.stage import Stages, stage_seed
 
 STEPS = TINY["schedule.grounding_steps"]
@@ -266,6 +267,24 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     source = open_run(run).worlds.source_domain.compile()
     assert source.body("pole").mass[0] == pytest.approx(33.0)
     assert open_run(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
+
+
+def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(finished_run, tmp_path, monkeypatch):
+    """Hardly trained estimators do not. The whole way through: images of the target, G, the sensor, the run folder."""
+    monkeypatch.setattr("idapt_pl.discovery.forecasts.EPISODES", 4)
+    monkeypatch.setattr("idapt_pl.discovery.forecasts.STEPS", 8)
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    ledger = (run / "ledger.json").read_text()
+    grounding = open_run(run)
+    grounding.effects = Discovery(True, candidates=("body_mass",), max_effects=1)
+    pi = load_policy(grounding, run / "step_00/policy/final.ckpt")
+    repaired = grounding.repair_source(0, [run / "step_00/target.h5"], load_visual(grounding), pi)
+    found = json.loads((run / "step_00/effects.json").read_text())
+    assert found["forecasts"] and np.isfinite([found["before"], found["after"], found["excess"]]).all()
+    assert set(found["target"]) == {"slider", "hinge", "slider velocity", "hinge velocity"} == set(found["control"])
+    assert repaired == bool(found["effects"]) and yaml.safe_load((run / "effects.yaml").read_text()) == found["effects"]
+    assert (run / "ledger.json").read_text() == ledger, "no further step in the target"
 
 
 def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_run_is_opened(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from idapt_pl.domains.differences import differences
+from idapt_pl.domains.effects import ActuatorGain
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import TASKS, make_task
 
@@ -171,6 +172,15 @@ def test_domains_show_the_same_state_differently_and_always_in_the_same_way(name
         assert np.abs(frames[a] - frames[b]).mean() > 3
     for first, second in zip(frames[:3], frames[3:], strict=True):
         np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("name", ["inverted_pendulum", "half_cheetah", "walker2d"])
+def test_every_motor_can_be_named_in_an_effect(name):
+    source = make_task(name).domain("source")
+    model = source.compile()
+    for i in range(model.nu):
+        weaker = source.with_effects(ActuatorGain(model.actuator(i).name, 0.5)).compile()
+        assert np.flatnonzero(weaker.actuator_gainprm[:, 0] != model.actuator_gainprm[:, 0]).tolist() == [i]
 
 
 def test_unknown_names_are_errors_that_list_the_known_ones():

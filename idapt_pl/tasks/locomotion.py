@@ -44,6 +44,8 @@ class Locomotion(Task):
         spec.nuserdata = 1
         spec.lights[0].name = "lamp"
         spec.textures[0].name = "sky"
+        for motor in spec.actuators:  # Walker2d's have no names, and effects need them
+            motor.name = motor.name or motor.target
         spec.body("torso").add_camera(name=CAMERA, mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM)
         return spec
 
