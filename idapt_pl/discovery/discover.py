@@ -76,7 +76,7 @@ def by_forecasts(
     seen = sightings(sensor, read_all(target), dt, compared)
     known = sightings(sensor, read_all(control, also="state"), dt, compared, G)
     exact = by_images(seen, sensor, G, compared, make_env, dt)
-    quick = by_states(seen, compared, calibration.position, dt, seed)
+    quick = by_states(seen, source, compared, calibration.position, dt, seed)
     recorded, _ = recordings(model, readings.target)
     around = surroundings(model, recorded, STEPS * dt)
     candidates = [c for c in choose(library(source.spec(), around), options.candidates) if c.size == 1]

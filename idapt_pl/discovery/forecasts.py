@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -176,14 +176,18 @@ def by_images(
     def newest(obs: dict[str, np.ndarray]) -> np.ndarray:
         return obs["pixels"][:, -1]
 
-    return Forecasts(seen, lambda domain: make_env(domain, MEMBERS), newest, read, spread(seen))
+    return Forecasts(seen, lambda domain: make_env(domain, MEMBERS), newest, read, spread([s.read for s in seen]))
 
 
-def by_states(seen: tuple[Sighting, ...], compared: Compared, noise: np.ndarray, dt: float, seed: int) -> Forecasts:
+def by_states(
+    seen: tuple[Sighting, ...], source: Domain, compared: Compared, noise: np.ndarray, dt: float, seed: int
+) -> Forecasts:
     """Forecasts of positions alone, without images: quick, and what the sensor gets wrong is white noise to them.
 
     Args:
         seen: of the target.
+        source: whose motions say how far joints move where the sensor hardly sees that they do: its bias would be
+            large in units of what it reads, and drown all else.
         compared: makes what is compared of motions.
         noise: standard deviation of the sensor's errors of positions, (nv,).
         dt: control period, s.
@@ -199,9 +203,13 @@ def by_states(seen: tuple[Sighting, ...], compared: Compared, noise: np.ndarray,
     def state(obs: dict[str, np.ndarray]) -> np.ndarray:
         return obs["state"]
 
-    return Forecasts(positions, lambda d: VectorStateEnv(compared.task, d, MEMBERS), state, read, spread(positions))
+    forecasts = Forecasts(
+        positions, lambda d: VectorStateEnv(compared.task, d, MEMBERS), state, read, spread([s.read for s in positions])
+    )
+    moves = spread([x.reshape(-1, n) for x in forecasts.ensembles(source, seed)])
+    return replace(forecasts, scale=np.maximum(forecasts.scale, moves))
 
 
-def spread(seen: Sequence[Sighting]) -> np.ndarray:
-    """Standard deviation of what was read, (d,)."""
-    return np.concatenate([s.read for s in seen]).std(0) + 1e-9
+def spread(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Standard deviation over all of (n, d) arrays, (d,)."""
+    return np.concatenate(values).std(0) + 1e-9
