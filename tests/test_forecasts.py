@@ -77,7 +77,7 @@ def test_the_right_dynamics_forecast_best(mass):
     assert np.argmin(scores) == 2, scores
     assert len(forecasts.scores(SOURCE, 0, 3)) == 3
     assert np.array_equal(forecasts.scores(SOURCE, 0), forecasts.scores(SOURCE, 0)), "one seed, one score"
-    assert forecasts.errors(SOURCE, 0).shape == (4,)
+    assert forecasts.errors_of(forecasts.ensembles(SOURCE, 0)).shape == (4,)
 
 
 class Valley:

@@ -84,9 +84,11 @@ def by_forecasts(
 
     repaired = source.with_effects(*(s.effect for s in found))
     in_control = replace(exact, sightings=known)
-    before, after, there = (
-        float(f.scores(d, seed).mean()) for f, d in ((exact, source), (exact, repaired), (in_control, source))
-    )
+    first = exact.ensembles(source, seed)
+    last = exact.ensembles(repaired, seed) if found else first
+    its_own = in_control.ensembles(source, seed)
+    before, after = (float(exact.scores_of(x).mean()) for x in (first, last))
+    there = float(in_control.scores_of(its_own).mean())
     return {
         "effects": [s.effect.to_dict() for s in found],
         "disbelieved": [s.effect.to_dict() for s in next_best],
@@ -101,8 +103,8 @@ def by_forecasts(
         "forecasts": True,
         "before": before,
         "after": after,
-        "target": told_channels(compared, calibration, exact.errors(source, seed), exact.errors(repaired, seed)),
-        "control": told_channels(compared, calibration, *[in_control.errors(source, seed)] * 2),
+        "target": told_channels(compared, calibration, exact.errors_of(first), exact.errors_of(last)),
+        "control": told_channels(compared, calibration, *[in_control.errors_of(its_own)] * 2),
     }
 
 

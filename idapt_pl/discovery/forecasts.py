@@ -72,14 +72,17 @@ class Forecasts:
         ]
 
     def scores(self, domain: Domain, seed: int, count: int | None = None) -> np.ndarray:
-        """Energy score of every sighting, (n,); less is better."""
-        expected = self.ensembles(domain, seed, count)
+        """Energy score of every sighting in a domain, (n,); less is better."""
+        return self.scores_of(self.ensembles(domain, seed, count))
+
+    def scores_of(self, expected: Sequence[np.ndarray]) -> np.ndarray:
+        """Energy scores of :meth:`ensembles`, (n,)."""
         pairs = zip(expected, self.sightings, strict=False)
         return np.array([energy_score(x / self.scale, s.read / self.scale) for x, s in pairs])
 
-    def errors(self, domain: Domain, seed: int) -> np.ndarray:
-        """Root mean square of what was read less the ensemble's mean, of each thing compared, (d,)."""
-        pairs = zip(self.ensembles(domain, seed), self.sightings, strict=True)
+    def errors_of(self, expected: Sequence[np.ndarray]) -> np.ndarray:
+        """Root mean square of what was read less the means of :meth:`ensembles`, of each thing compared, (d,)."""
+        pairs = zip(expected, self.sightings, strict=True)
         return np.sqrt(np.mean(np.concatenate([np.square(x.mean(0) - s.read)[1:] for x, s in pairs]), 0))
 
 
