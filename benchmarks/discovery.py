@@ -143,7 +143,8 @@ def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
     )
     row = {"found": found, "disbelieved": disbelieved}
     row |= {k: round(result[k], 3) for k in ("before", "after", "excess", "explained")}
-    row |= {"removed_in_control": round(result["removed"]["control"], 3)}
+    if "control" in result["removed"]:  # forecasts seek nothing there
+        row |= {"removed_in_control": round(result["removed"]["control"], 3)}
     if not hidden:
         return row | {"right": int(not found)}
     truth = hidden[0]

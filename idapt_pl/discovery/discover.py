@@ -69,7 +69,8 @@ def by_forecasts(
 ) -> dict:  # fmt: skip
     """For a sensor that cannot tell how fast things move; ``readings`` are what it read, the rest as above.
 
-    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, and ``forecasts`` is true.
+    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, ``forecasts`` is true, and
+    nothing is sought in the control.
     """
     model, dt = source.compile(), readings.target.dt
     compared, calibration = Compared(task, model), readings.calibration
@@ -97,7 +98,7 @@ def by_forecasts(
         "made_up": [],
         "excess": before / there,
         "explained": (before - after) / (before - there) if before > there else 0.0,
-        "removed": {"target": 1 - after / before, "control": 0.0},
+        "removed": {"target": 1 - after / before},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
         "forecasts": True,

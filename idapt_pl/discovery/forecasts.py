@@ -16,6 +16,7 @@ import numpy as np
 
 from datamodules import Episode
 from idapt_pl.diagnosis.data import difference
+from idapt_pl.discovery.options import SHORTEST
 from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.modules import VisualTransformation
@@ -28,8 +29,6 @@ STEPS = 25
 """Control steps that are forecast: what follows says ever less, since contacts multiply what resets differ by."""
 EPISODES = 12
 """That are forecast."""
-SHORTEST = 6
-"""Control steps that an episode must last to be of use."""
 
 
 @dataclass(frozen=True)

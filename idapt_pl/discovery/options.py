@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+SHORTEST = 6
+"""Control steps that an episode must last to be of use."""
 CANDIDATES = ("body_mass", "joint_damping", "joint_frictionloss", "joint_armature", "actuator_gain", "actuator_delay")
 """What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
 

@@ -19,13 +19,12 @@ import numpy as np
 from datamodules import Trajectories
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.search import Settings
+from idapt_pl.discovery.options import SHORTEST, Discovery
 from idapt_pl.domains import Domain
 from idapt_pl.sensing import GAIN, Readings, cut
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
-SHORTEST = 6
-"""Control steps that an episode must last to be of use."""
 BELIEVED = ((3.0, 0.5), (2.0, 0.9))
 """How many times as large as in the control the error must be in some channel of the target, and what share of what is
 beyond the control's error there must go with what is found; either pair will do.
