@@ -35,7 +35,7 @@ from tables import replace_rows
 
 from cli.provenance import git_commit
 from cli.run_folder import load_estimator, load_visual, open_run
-from datamodules import Episode, Trajectories, write_trajectories
+from datamodules import Episode, write_trajectories
 from idapt_pl.discovery import Discovery, discover
 from idapt_pl.domains import Domain, looks
 from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointDamping
@@ -80,19 +80,14 @@ FIELDS = (
 
 
 @dataclass(frozen=True)
-class Translated:
-    """A sensor to which all recordings are images of the source."""
+class Translated(Sensor):
+    """A sensor to which all recordings are images of the source, seen through ``always``."""
 
-    sensor: Sensor
-    G: VisualTransformation
-
-    def read(self, files: Sequence[Path], G: VisualTransformation | None = None) -> Trajectories:
-        """As of the sensor."""
-        return self.sensor.read(files, self.G)
+    always: VisualTransformation
 
     def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
         """As of the sensor."""
-        return self.sensor.motion(episode, dt, self.G)
+        return super().motion(episode, dt, self.always)
 
 
 def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int, folder: Path) -> dict:
@@ -109,7 +104,7 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     if not control.exists():
         record(grounding, source, control, steps, seed + 200)
     started = time.perf_counter()
-    reads = Translated(sensor, G) if look == TRANSLATED else sensor
+    reads = Translated(**vars(sensor), always=G) if look == TRANSLATED else sensor
     result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed, worlds.seen)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 

@@ -9,8 +9,7 @@ See docs/diagnose.md.
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +23,9 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
-from cli.run_folder import load_estimator, load_visual, open_run
-from datamodules import Trajectories, read_trajectories
-from idapt_pl.appearance import discover_looks
+from cli.diagnose_images import forecast, read_images, report_looks
+from cli.run_folder import open_run
+from datamodules import read_trajectories
 from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -35,9 +34,6 @@ from idapt_pl.diagnosis.report import write_report
 from idapt_pl.diagnosis.state import Settings
 from idapt_pl.diagnosis.words import episodes, error_rows, estimate, meaning, number, unit_at, verdict_in_words
 from idapt_pl.domains import Effect, effect_from_dict
-from idapt_pl.files import write_atomically
-from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.sensing import Sensor, read_calibrated
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -89,8 +85,13 @@ def main(args: list[str]) -> int:
         grounding = open_run(o.run)
         if o.looks:
             report_looks(grounding, o.data, o.out, o.seed)
-        model, trajectories, how = read_images(grounding, o.data)
+        images = read_images(grounding, o.data)
+        source = grounding.worlds.source_domain
+        model, trajectories, how = source.spec(), images.readings.target, images.how(source)
     declared = read_effects(o.effects, model) if o.effects else ()
+    if o.run is not None and images.readings.calibration.vague:
+        print_report(*forecast(grounding, images, o, declared), model.compile(), o.out)
+        return 0
     try:
         with progress_bar() as progress:
             diagnosis = diagnose(
@@ -102,42 +103,6 @@ def main(args: list[str]) -> int:
     write_report(diagnosis, o.out, (o.model or o.run).name, o.data.name)
     print_diagnosis(diagnosis, o.out)
     return 0
-
-
-def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int) -> None:
-    """Say which visual effects the source of a run lacks; write ``looks.yaml`` and ``looks.png``.
-
-    Every episode must begin as the task's do.
-    """
-    worlds, console = grounding.worlds, Console()
-    found = discover_looks(worlds.task, worlds.source_domain, data, seed, worlds.view)
-    out.mkdir(parents=True, exist_ok=True)
-    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(found["effects"])))
-    write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found["picture"])))
-    names = ", ".join(f"{e['effect']} of {e['target']}" for e in found["estimates"]) or "none was found"
-    before, after, floor = (number(found[k]) for k in ("before", "after", "floor"))
-    for sentence in (
-        f"visual effects that the source lacks: {names}.",
-        f"The recording's first frames are {before} levels of 255 from the source's, {after} with these effects; noise "
-        f"alone makes {floor}. {out / 'looks.png'} shows source, source with the effects, recording.",
-    ):
-        console.print(escape(sentence), soft_wrap=True, highlight=False)
-
-
-def read_images(grounding: IterativeGrounding, data: Path) -> tuple[mujoco.MjSpec, Trajectories, dict]:
-    """The source of a run, recordings of images as its sensor reads them, and how that reads (for ``diagnose``).
-
-    The sensor is the estimator of the run's last grounding step. Its errors on images of the source count as noise,
-    although they depend on the state and are not white: see decision 17.
-    """
-    worlds = grounding.worlds
-    domain, sensor = worlds.source_domain, Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
-    run = grounding.stages.run_dir  # the sensor was not fitted to the control, where the run has one
-    newest = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
-    readings = read_calibrated(sensor, domain, [data], [newest], load_visual(grounding), grounding.stages.seed)
-    noise = readings.calibration.noise(domain.compile(), worlds.task.unseen)
-    how = {"noise": noise, "unmeasured": readings.unmeasured}
-    return domain.spec(), readings.target, how
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
@@ -194,23 +159,32 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     """The verdict, the errors, the effects, and where the rest is."""
     report, model, console = diagnosis.report, diagnosis.sim.model, Console()
-    for sentence in verdict_in_words(report, model):
-        console.print(escape(sentence), soft_wrap=True, highlight=False)
     errors = Table(title=f"error on held-out {episodes(report['error']['held_out_episodes'])} (1 = measurement noise)")
     for title, how in (("", "left"), ("error", "right"), ("", "left")):
         errors.add_column(title, justify=how)
     for name, value, what in error_rows(report):
         errors.add_row(name, number(value), what)
-    console.print(errors)
+    print_report(report, verdict_in_words(report, model), model, out, errors)
+    if unsaid := repair(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
+        names = ", ".join(meaning(e.name, e.target) for e in unsaid)
+        console.print(f"not in patched.xml, as MJCF has no words for it: {escape(names)}", soft_wrap=True)
+
+
+def print_report(
+    report: dict, verdict: Sequence[str], model: mujoco.MjModel, out: Path, errors: Table | None = None
+) -> None:
+    """The verdict in words, errors, effects, and where the rest is."""
+    console = Console()
+    for sentence in verdict:
+        console.print(escape(sentence), soft_wrap=True, highlight=False)
+    if errors:
+        console.print(errors)
     if report["effects"]:
         console.print(effects_table(report, model))
     if report["signature"]:
         console.print(f"the rest: {escape(report['signature'])}", soft_wrap=True, highlight=False)
     if report["next_experiment"]:
         console.print(f"next: {escape(report['next_experiment'])}", soft_wrap=True, highlight=False)
-    if unsaid := repair(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
-        names = ", ".join(meaning(e.name, e.target) for e in unsaid)
-        console.print(f"not in patched.xml, as MJCF has no words for it: {escape(names)}", soft_wrap=True)
     console.print(f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model",
                   soft_wrap=True, highlight=False)  # fmt: skip
 

@@ -20,7 +20,6 @@ from idapt_pl.domains.paths import SensorGain
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.tasks import Task
-from idapt_pl.velocities import VelocityReader, learn_velocities
 
 GAIN = 0.05
 """Standard deviation of what is read of a joint's motion over what it is, on target images.
@@ -86,8 +85,6 @@ class Calibration:
         speed: no error: the velocities themselves.
         bias: mean error of positions, m or rad. Part of ``position``; not taken off, as the target's is another.
         lag: by how much positions trail the motion, s; likewise.
-        smoothed: velocities are not the sensor's but of :mod:`idapt_pl.velocities`: windows begin with them, and they
-            are not compared, being made of the positions that are.
     """
 
     position: np.ndarray
@@ -96,26 +93,25 @@ class Calibration:
     speed: np.ndarray
     bias: np.ndarray
     lag: np.ndarray
-    smoothed: bool = False
 
     @property
     def vague(self) -> bool:
         """Whether a sensor cannot tell how fast most joints move, neither as read nor from slopes of positions."""
         best = np.minimum(self.velocity, self.slope)
-        return not self.smoothed and bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VAGUE)
+        return bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VAGUE)
 
     @property
     def reads_velocities(self) -> bool:
         """Whether velocities as read are near the truth, and nearer than slopes of positions, for most joints."""
         better = np.median(self.velocity / np.maximum(self.slope, 1e-12)) < 1.0
-        return bool(better) and not self.vague and not self.smoothed
+        return bool(better) and not self.vague
 
     def noise(self, model: mujoco.MjModel, unseen: Sequence[str]) -> Noise:
         """The errors as noise of what is compared, and of the states that windows begin with; gains are unknown."""
         told = np.flatnonzero(np.isin(model.jnt_type, ONE_NUMBER))
         names = (model.joint(j).name for j in told)
         gains = tuple(SensorGain(name, 1 + GAIN) for name in names if name not in unseen)
-        if self.reads_velocities or self.smoothed:
+        if self.reads_velocities:
             both = np.concatenate([self.position, self.velocity])
             return Noise(both, both, gains)
         return Noise(self.position, np.concatenate([self.position, self.slope]), gains)
@@ -128,29 +124,23 @@ class Calibration:
             blank = hidden if name in ("position", "bias", "lag") else ()
             return [None if i in blank else round(float(e), 5) for i, e in enumerate(errors)]
 
-        return {name: told(name, errors) for name, errors in vars(self).items() if name != "smoothed"}
+        return {name: told(name, errors) for name, errors in vars(self).items()}
 
 
 def used(read: Trajectories, calibration: Calibration) -> Trajectories:
-    """What is used of what a sensor read: positions, and velocities where they are read well or smoothed."""
-    names = ("qpos", "qvel") if calibration.reads_velocities or calibration.smoothed else ("qpos",)
+    """What is used of what a sensor read: positions, and velocities where they are read well."""
+    names = ("qpos", "qvel") if calibration.reads_velocities else ("qpos",)
     episodes = tuple(replace(e, observations={n: e.observations[n] for n in names}) for e in read)
     return replace(read, episodes=episodes)
 
 
-def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories, smoothed: bool = False) -> Calibration:
+def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories) -> Calibration:
     """The errors of what a sensor read from source images, whose states are known."""
     position, velocity, slope, speed = misread(task, model, read)
     about = speed - speed.mean(0)
     lag = -(about * position).mean(0) / np.maximum(np.square(about).mean(0), 1e-12)
     sizes = (np.sqrt(np.square(e).mean(0)) for e in (position, velocity, slope, speed))
-    return Calibration(*sizes, position.mean(0), lag, smoothed)
-
-
-def typical_errors(task: Task, model: mujoco.MjModel, read: Trajectories) -> np.ndarray:
-    """The size of most errors of positions on source images, outliers apart, (nv,)."""
-    position, *_ = misread(task, model, read)
-    return 1.4826 * np.median(np.abs(position - np.median(position, 0)), 0)
+    return Calibration(*sizes, position.mean(0), lag)
 
 
 def misread(task: Task, model: mujoco.MjModel, read: Trajectories) -> list[np.ndarray]:
@@ -169,7 +159,7 @@ class Readings:
     """What a calibrated sensor read.
 
     Attributes:
-        target: positions, and velocities where they are read well (:attr:`Calibration.reads_velocities`) or smoothed.
+        target: positions, and velocities where they are read well (:attr:`Calibration.reads_velocities`).
         control: likewise, of the source.
         calibration: on the control.
         unread: shares of the frames that were left out, ``target`` and ``control``.
@@ -184,13 +174,9 @@ class Readings:
 
 
 def read_calibrated(
-    sensor: Sensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation, seed: int,
-    learn: bool = True,
-) -> Readings:  # fmt: skip
+    sensor: Sensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation
+) -> Readings:
     """Read recordings of the target, and learn from the source's how far that is off.
-
-    Where the sensor cannot tell how fast things move, velocities are learned from simulations
-    (:mod:`idapt_pl.velocities`).
 
     Args:
         sensor: reads target images.
@@ -198,30 +184,13 @@ def read_calibrated(
         target: trajectory files; images and actions are all that is used.
         control: trajectory files of the source with images and states; best such that the sensor was not fitted to.
         G: shows source images as target images.
-        seed: of those simulations.
-        learn: velocities, where the sensor is vague; else it stays so.
     """
     task, model = sensor.task, source.compile()
     given = {"target": sensor.read(target), "control": sensor.read(control, G)}
     kept = {k: readable(task, model, read, given["control"]) for k, read in given.items()}
     unread = {k: 1 - sum(len(e) + 1 for e in kept[k]) / sum(len(e) + 1 for e in given[k]) for k in given}
-    calibration, unmeasured = calibrate(task, model, kept["control"]), tuple(task.unseen)
-    if calibration.vague and learn:
-        commands = [e.actions for read in given.values() for e in read]
-        reader = learn_velocities(task, source, commands, typical_errors(task, model, kept["control"]), seed)
-        kept = {k: smoothed(read, reader) for k, read in kept.items()}
-        calibration = calibrate(task, model, kept["control"], smoothed=True)
-        unmeasured += tuple(f"{model.joint(j).name} velocity" for j in range(model.njnt))
-    return Readings(*(used(kept[k], calibration) for k in given), calibration, unread, unmeasured)
-
-
-def smoothed(read: Trajectories, reader: VelocityReader) -> Trajectories:
-    """What a sensor read, with the velocities that positions and commands tell."""
-
-    def episode(e: Episode) -> Episode:
-        return replace(e, observations=e.observations | {"qvel": reader.read(e.observations["qpos"], e.actions)})
-
-    return replace(read, episodes=tuple(episode(e) for e in read))
+    calibration = calibrate(task, model, kept["control"])
+    return Readings(*(used(kept[k], calibration) for k in given), calibration, unread, tuple(task.unseen))
 
 
 def readable(task: Task, model: mujoco.MjModel, read: Trajectories, known: Trajectories) -> Trajectories:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.discovery.estimate import lowest
 from idapt_pl.discovery.forecasts import Forecasts, Sighting, energy_score, held, play
-from idapt_pl.discovery.search import Suspect, refine, unsure, values
+from idapt_pl.discovery.search import at, closer, refine, values
 from idapt_pl.domains.effects import BodyMass, JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.tasks import make_task
@@ -81,13 +82,19 @@ def test_the_right_dynamics_forecast_best(mass):
 
 
 class Valley:
-    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each sighting."""
+    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each sighting.
+
+    Had more been read, it would be at a lighter pole.
+    """
 
     lowest = np.log(80.0) + 0.1 * np.linspace(-1, 1, 12)
 
-    def scores(self, domain, seed, count=None):
+    def __init__(self, shift=0.0):
+        self.shift = shift
+
+    def scores_by_gain(self, domain, seed):
         mass = float(domain.compile().body("pole").mass[0])
-        return 1.0 + np.square(np.log(mass) - self.lowest)
+        return np.stack([1.0 + np.square(np.log(mass) - self.lowest + s * self.shift) for s in (0, 1, -1)])
 
 
 def pole():
@@ -95,18 +102,41 @@ def pole():
     return Candidate(BodyMass, "pole", ("mass",), (4.895,), (1.0,))
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.06])
 @pytest.mark.parametrize("start", [50.0, 80.0, 150.0])
-def test_an_estimate_goes_to_the_lowest_point_and_its_interval_is_that_of_a_mean(start):
-    c = pole()
-    first = Valley().scores(SOURCE.with_effects(c.effect([start])), 0)
-    found = refine(SOURCE, Suspect(c, start, first), Valley(), 0)
+def test_an_estimate_goes_to_the_lowest_point_and_its_interval_knows_episodes_and_misreadings(start, shift):
+    valley = Valley(shift)
+    found = refine(SOURCE, closer(SOURCE, at(SOURCE, pole(), start, valley, 0), valley, 0), valley, 0)
     assert found.x == pytest.approx(80.0, rel=0.01)
-    half = 2.201 * Valley.lowest.std(ddof=1) / np.sqrt(12)  # Student's t, 11 degrees of freedom
+    error = np.hypot(Valley.lowest.std(ddof=1) / np.sqrt(12), shift)
+    half = 2.201 * error  # Student's t, 11 degrees of freedom
     assert np.log(found.interval) == pytest.approx(np.log(found.x) + np.array([-half, half]), rel=0.01)
 
 
-def test_no_interval_where_scores_do_not_bend():
-    assert unsure(np.ones(5), -1.0, 0.2) is None
+def test_no_interval_where_the_lowest_point_is_beyond_what_was_tried():
+    class Slope(Valley):
+        def scores_by_gain(self, domain, seed):
+            return np.tile(np.log(domain.compile().body("pole").mass[0]), (3, 12))
+
+    found = refine(SOURCE, closer(SOURCE, at(SOURCE, pole(), 80.0, Slope(), 0), Slope(), 0), Slope(), 0)
+    assert found.interval is None and found.x < 50
+
+
+def test_a_parabola_goes_a_stride_beyond_what_was_tried_and_not_further():
+    x = np.array([0.0, 0.4, 0.8])
+    assert lowest(x, np.square(x - 0.3)) == (pytest.approx(0.3), True)
+    assert lowest(x, np.square(x - 1.0)) == (pytest.approx(1.0), False)
+    assert lowest(x, np.square(x - 9.0)) == (pytest.approx(1.2), False)
+    assert lowest(x, -x) == (pytest.approx(1.2), False), "no bend"
+    assert lowest(np.array([0.0, 0.0, 0.4]), np.array([1.0, 1.0, 2.0])) == (0.0, False), "at a bound"
+
+
+def test_misreadings_scale_motions_from_where_they_began():
+    forecasts = pendulum_forecasts((), 1)
+    (seen,), (larger,) = forecasts.sightings, forecasts.larger(1.05).sightings
+    assert np.array_equal(larger.read[0], seen.read[0])
+    assert larger.read[-1] - seen.read[-1] == pytest.approx(0.05 * (seen.read[-1] - seen.read[0]), rel=1e-4)
+    assert forecasts.scores_by_gain(SOURCE, 0)[0] == pytest.approx(forecasts.scores(SOURCE, 0))
 
 
 def test_first_values_are_on_both_sides_and_inside_the_bounds():

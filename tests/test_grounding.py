@@ -5,6 +5,7 @@ import shutil
 
 import h5py
 import lightning as L
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -17,6 +18,7 @@ from cli.main import main
 from cli.run_folder import load_policy, load_visual, open_run
 from datamodules import read_trajectories
 from idapt_pl.discovery import Discovery
+from idapt_pl.domains import effect_from_dict
 from idapt_pl.stage import Stages, stage_seed
 
 STEPS = TINY["schedule.grounding_steps"]
@@ -309,13 +311,37 @@ def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_r
     assert "visual effects below" in report and found["estimates"][0]["effect"] in report
 
 
-def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path):
+IMAGES = ["--candidates", "body_mass", "--max-effects", "1", "--seed", "0"]
+
+
+def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path, monkeypatch):
+    monkeypatch.setattr("idapt_pl.sensing.VAGUE", np.inf)
     data, out = finished_run / "step_00/target.h5", tmp_path / "diagnosis"
-    options = ["--candidates", "body_mass", "--max-effects", "1", "--seed", "0"]
-    assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *options]) == 0
+    assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *IMAGES]) == 0
     report = json.loads((out / "report.json").read_text())
     assert set(report["error"]["per_channel"]) == {"slider", "hinge"}, "positions read from images, no velocities"
     assert (out / "report.html").stat().st_size > 0
+
+
+def test_where_its_sensor_is_vague_a_recording_of_images_is_diagnosed_by_forecasts(finished_run, tmp_path, capsys):
+    """An estimator that hardly learned anything cannot tell how fast things move."""
+    data, out = finished_run / "step_00/target.h5", tmp_path / "diagnosis"
+    args = ["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *IMAGES]
+    assert main(args) == 0
+    report, source = json.loads((out / "report.json").read_text()), open_run(finished_run).worlds.source_domain
+    assert report["error"]["metric"].startswith("energy score") and report["error"]["noise_floor"] > 0
+    assert set(report["error"]["per_channel"]) == {"slider", "hinge", "slider velocity", "hinge velocity"}
+    found = yaml.safe_load((out / "effects.yaml").read_text())
+    assert (report["verdict"] == "effects_found") == bool(found) == bool(report["effects"])
+    patched = mujoco.MjModel.from_xml_path(str(out / "patched.xml"))
+    repaired = source.with_effects(*map(effect_from_dict, found)).compile()
+    assert patched.body_mass == pytest.approx(repaired.body_mass, rel=1e-4)
+    page = (out / "report.html").read_text()
+    assert "<svg" in page and "read of the target" in page and "A typical episode" in page
+    assert "energy score" in capsys.readouterr().out
+    assert list(out.glob("events.out.tfevents.*"))
+    assert main([*args, "--fit", "0"]) == 1
+    assert "leave --fit and --hold-out away" in " ".join(capsys.readouterr().err.split())
 
 
 def test_the_looks_of_a_recording_are_compared_with_what_the_source_of_a_run_shows(finished_run, tmp_path, capsys):

@@ -80,7 +80,7 @@ def page(diagnosis: Diagnosis, repaired: Repaired, drawn: dict[str, Figure], mod
         signature(report),
         next_experiment(report),
         pictures(diagnosis, drawn),
-        difference(repaired, diagnosis),
+        difference(repaired, bool(diagnosis.declared)),
         candidates(diagnosis),
         settings(diagnosis, model_name, data_name),
     ]
@@ -205,8 +205,8 @@ def pictures(diagnosis: Diagnosis, drawn: dict[str, Figure]) -> str:
     return "\n".join(parts)
 
 
-def difference(repaired: Repaired, diagnosis: Diagnosis) -> str:
-    """The MJCF difference, and what MJCF cannot say."""
+def difference(repaired: Repaired, declared: bool) -> str:
+    """The MJCF difference, and what MJCF cannot say; whether effects were declared before."""
     kinds = {"+": "add", "-": "cut", "@": "at"}
     lines = [
         f'<span class="{kinds.get(line[0], "")}">{escape(line)}</span>' if line[:1] in kinds else f"<span>{line}</span>"
@@ -219,7 +219,7 @@ def difference(repaired: Repaired, diagnosis: Diagnosis) -> str:
     if not parts:
         return ""
     if lines:
-        note = "As in patched.xml" + (", effects declared before included." if diagnosis.declared else ".")
+        note = "As in patched.xml" + (", effects declared before included." if declared else ".")
         parts.append(paragraph(note, "small"))
     return section("Change of the model (MJCF)", *parts)
 

@@ -11,21 +11,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.data import recordings
 from idapt_pl.diagnosis.library import library, surroundings
 from idapt_pl.diagnosis.search import choose
+from idapt_pl.discovery.channels import errors, example
 from idapt_pl.discovery.forecasts import STEPS, Compared, by_images, by_states, sightings
-from idapt_pl.discovery.options import Discovery
-from idapt_pl.discovery.search import rounded, search, told
+from idapt_pl.discovery.options import SHORTEST, Discovery
+from idapt_pl.discovery.search import search, told
 from idapt_pl.discovery.windows import by_windows
 from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import Calibration, Readings, Sensor, read_calibrated
+from idapt_pl.sensing import GAIN, Readings, Sensor, read_calibrated
 from idapt_pl.tasks import Task
 
 
@@ -56,7 +54,7 @@ def discover(
         error ``before`` and ``after``, in units of the sensor's noise, and that of the channels of ``target`` and
         ``control``.
     """
-    readings = read_calibrated(sensor, source, target, control, G, seed, learn=False)
+    readings = read_calibrated(sensor, source, target, control, G)
     if readings.calibration.vague:
         return by_forecasts(task, source, sensor, G, target, control, options, seed, make_env, readings)
     return by_windows(task, source, readings, options, seed)
@@ -69,12 +67,17 @@ def by_forecasts(
 ) -> dict:  # fmt: skip
     """For a sensor that cannot tell how fast things move; ``readings`` are what it read, the rest as above.
 
-    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, ``forecasts`` is true, and
-    nothing is sought in the control.
+    Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, ``forecasts`` is true, one
+    episode an ``example``, and nothing is sought in the control.
     """
     model, dt = source.compile(), readings.target.dt
     compared, calibration = Compared(task, model), readings.calibration
     seen = sightings(sensor, read_all(target), dt, compared)
+    if len(seen) < 2:
+        raise ValueError(
+            f"{', '.join(map(str, target))}: {len(seen)} episodes last {SHORTEST} control steps; effects are judged by "
+            "forecasts of such, and at least 2 are needed"
+        )
     known = sightings(sensor, read_all(control, also="state"), dt, compared, G)
     exact = by_images(seen, sensor, G, compared, make_env, dt)
     quick = by_states(seen, source, compared, calibration.position, dt, seed)
@@ -88,35 +91,24 @@ def by_forecasts(
     first = exact.ensembles(source, seed)
     last = exact.ensembles(repaired, seed) if found else first
     its_own = in_control.ensembles(source, seed)
-    before, after = (float(exact.scores_of(x).mean()) for x in (first, last))
-    there = float(in_control.scores_of(its_own).mean())
+    before, after = exact.scores_of(first), exact.scores_of(last)
+    was, now, there = (float(x.mean()) for x in (before, after, in_control.scores_of(its_own)))
     return {
         "effects": [s.effect.to_dict() for s in found],
         "disbelieved": [s.effect.to_dict() for s in next_best],
         "left_out": [],
-        "estimates": [told(s, model, before) for s in (*found, *next_best)],
+        "estimates": [told(s, model, was) for s in (*found, *next_best)],
         "made_up": [],
-        "excess": before / there,
-        "explained": (before - after) / (before - there) if before > there else 0.0,
-        "removed": {"target": 1 - after / before},
+        "excess": was / there,
+        "explained": (was - now) / (was - there) if was > there else 0.0,
+        "removed": {"target": 1 - now / was},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
+        "unknown_gain": GAIN,
         "forecasts": True,
-        "before": before,
-        "after": after,
-        "target": told_channels(compared, calibration, exact.errors_of(first), exact.errors_of(last)),
-        "control": told_channels(compared, calibration, *[in_control.errors_of(its_own)] * 2),
-    }
-
-
-def told_channels(compared: Compared, calibration: Calibration, before: np.ndarray, after: np.ndarray) -> dict:
-    """Errors of what is compared, as channels of report.json."""
-    joints = [compared.model.joint(compared.model.dof_jntid[i]) for i in compared.dofs]
-    turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
-    names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
-    units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
-    noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
-    return {
-        name: {"before": rounded(b), "after": rounded(a), "noise": rounded(n), "unit": unit}
-        for name, b, a, n, unit in zip(names, before, after, noise, units, strict=True)
+        "before": was,
+        "after": now,
+        "target": errors(compared, calibration, exact.errors_of(first), exact.errors_of(last)),
+        "control": errors(compared, calibration, *[in_control.errors_of(its_own)] * 2),
+        "example": example(compared, seen, first, last, before - after, dt),
     }

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from scipy.stats import t as student
 
 from idapt_pl.diagnosis.library import Candidate
 from idapt_pl.diagnosis.statistics import paired_gain
 from idapt_pl.diagnosis.words import unit_at
+from idapt_pl.discovery.channels import rounded
+from idapt_pl.discovery.estimate import lowest, uncertainty
 from idapt_pl.discovery.forecasts import Forecasts
 from idapt_pl.domains import Domain
 from idapt_pl.domains.effects import Effect
@@ -27,11 +28,15 @@ SCREENED = 6
 FINALISTS = 6
 """Candidates that are judged by images."""
 REFINED = 2
-"""Of these, how many get a better estimate."""
+"""Of these, how many are looked for a better value of."""
 PROMISING = 0.03
-"""Share of the score that the best of them must be worth for that."""
-STRIDES = (0.4, 0.25)
-"""Of the logarithm of a parameter, to either side: where an estimate is refined, and how scores bend there."""
+"""Share of the score that the best of them must be worth for that, from other resets than it was chosen by."""
+OTHER = 1000
+"""What is added to a seed for these and, once more other ones, for the verdict."""
+STRIDE = 0.5
+"""Of the logarithm of a parameter, to either side: where the lowest point is first looked for ..."""
+AROUND = (-0.5, -0.25, 0.25, 0.5)
+"""... and where else scores are taken around it, since each is noisy."""
 SURE = 3.0
 """Standard errors that a gain must be worth ..."""
 WORTH = 0.1
@@ -45,14 +50,14 @@ class Suspect:
     Attributes:
         candidate: an effect with one parameter.
         x: its value.
-        scores: of each sighting, (n,).
+        by_gain: scores of each sighting, (1 or 3, n): as they were read, and had more been read of them, or less.
         interval: 95 %, or None.
         equivalent: others that do as well.
     """
 
     candidate: Candidate
     x: float
-    scores: np.ndarray
+    by_gain: np.ndarray
     interval: tuple[float, float] | None = None
     equivalent: list[Suspect] = field(default_factory=list)
 
@@ -60,6 +65,11 @@ class Suspect:
     def effect(self) -> Effect:
         """The effect."""
         return self.candidate.effect([self.x])
+
+    @property
+    def scores(self) -> np.ndarray:
+        """Energy score of each sighting, (n,)."""
+        return self.by_gain[0]
 
     @property
     def score(self) -> float:
@@ -86,7 +96,7 @@ def search(
         best = best_of(now, candidates, quick, exact, seed)
         if best is None:
             break
-        fresh = seed + 1000
+        fresh = seed + OTHER
         without, with_it = (exact.scores(d, fresh) for d in (now, now.with_effects(best.effect)))
         gain, error = paired_gain(without, with_it, np.arange(len(without)))
         log.info(
@@ -103,17 +113,15 @@ def best_of(
     now: Domain, candidates: Sequence[Candidate], quick: Forecasts, exact: Forecasts, seed: int
 ) -> Suspect | None:
     """The candidate with the best forecasts, its value refined; None where none is promising."""
-    judged = [
-        Suspect(s.candidate, s.x, exact.scores(now.with_effects(s.effect), seed))
-        for s in screened(now, candidates, quick, seed)[:FINALISTS]
-    ]
+    judged = [at(now, s.candidate, s.x, exact, seed) for s in screened(now, candidates, quick, seed)[:FINALISTS]]
     judged.sort(key=lambda s: s.score)
-    if not judged or judged[0].score > (1 - PROMISING) * exact.scores(now, seed).mean():
+    if not judged or not promising(now, judged[0].effect, exact, seed + OTHER // 2):
         return None
-    refined = [refine(now, s, exact, seed) for s in judged[:REFINED]]
-    best = min(refined, key=lambda s: s.score)
+    nearer = [closer(now, s, exact, seed) for s in judged[:REFINED]]
+    nearer.sort(key=lambda tried: min(s.score for s in tried))
+    best = refine(now, nearer[0], exact, seed)
     others = [s for s in judged if s.candidate.label != best.candidate.label]
-    others += [s for s in refined if s is not best]
+    others += [min(tried, key=lambda s: s.score) for tried in nearer[1:]]
     best.equivalent = list({s.candidate.label: s for s in others if alike(best, s)}.values())
     return best
 
@@ -123,8 +131,8 @@ def screened(now: Domain, candidates: Sequence[Candidate], quick: Forecasts, see
     without = quick.scores(now, seed, SCREENED).mean()
     tried = []
     for c in candidates:
-        at = [Suspect(c, x, quick.scores(now.with_effects(c.effect([x])), seed, SCREENED)) for x in values(c)]
-        tried += [min(at, key=lambda s: s.score)] if at else []
+        here = [Suspect(c, x, quick.scores(now.with_effects(c.effect([x])), seed, SCREENED)[None]) for x in values(c)]
+        tried += [min(here, key=lambda s: s.score)] if here else []
     return sorted((s for s in tried if s.score < without), key=lambda s: s.score)
 
 
@@ -142,38 +150,41 @@ def alike(best: Suspect, other: Suspect) -> bool:
     return gain < 2 * error and np.isfinite(error)
 
 
-def refine(now: Domain, s: Suspect, exact: Forecasts, seed: int) -> Suspect:
-    """Go to the lowest point of a parabola through three scores, twice, and put an interval on it."""
-    half = None
-    for stride in STRIDES:
-        below, above = (at(now, s.candidate, s.x * np.exp(d), exact, seed) for d in (-stride, stride))
-        slope, bend = (above.score - below.score) / (2 * stride), (above.score - 2 * s.score + below.score) / stride**2
-        move = np.clip(-slope / bend, -2 * stride, 2 * stride) if bend > 0 else -2 * stride * np.sign(slope)
-        half = unsure(above.scores - below.scores, bend, stride)
-        s = min((s, below, above, at(now, s.candidate, s.x * np.exp(move), exact, seed)), key=lambda t: t.score)
-    s.interval = (s.x * np.exp(-half), s.x * np.exp(half)) if half is not None else None
-    return s
+def promising(now: Domain, effect: Effect, exact: Forecasts, seed: int) -> bool:
+    """Whether it is worth the time to look for a better value: an effect helps from other resets too."""
+    without, with_it = (exact.scores(d, seed).mean() for d in (now, now.with_effects(effect)))
+    return bool(with_it < (1 - PROMISING) * without)
+
+
+def closer(now: Domain, s: Suspect, exact: Forecasts, seed: int) -> list[Suspect]:
+    """A candidate at its first value, to either side, and where a parabola through these is lowest."""
+    tried = [s, *(at(now, s.candidate, s.x * np.exp(d), exact, seed) for d in (-STRIDE, STRIDE))]
+    return [*tried, at(now, s.candidate, np.exp(lowest(*curve(tried))[0]), exact, seed)]
+
+
+def refine(now: Domain, tried: Sequence[Suspect], exact: Forecasts, seed: int) -> Suspect:
+    """The lowest point of a parabola through scores of values all around it, with an interval if it is among them."""
+    middle, _ = lowest(*curve(tried))
+    c = tried[0].candidate
+    tried = [*tried, *(at(now, c, np.exp(middle + d), exact, seed) for d in AROUND)]
+    best, (middle, among) = min(tried, key=lambda t: t.score), lowest(*curve(tried))
+    if not among:
+        return best
+    scores, *misread = np.stack([t.by_gain for t in tried], 1)
+    half = uncertainty(curve(tried)[0], scores, np.stack(misread))
+    return replace(best, x=np.exp(middle), interval=(np.exp(middle - half), np.exp(middle + half)))
+
+
+def curve(tried: Sequence[Suspect]) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of the values tried, and the scores there."""
+    return np.log([t.x for t in tried]), np.array([t.score for t in tried])
 
 
 def at(now: Domain, c: Candidate, x: float, exact: Forecasts, seed: int) -> Suspect:
     """A candidate at a value, moved inside its bounds."""
     (low,), (high,) = c.bounds()
     x = float(np.clip(x, max(low, 1e-12), high))
-    return Suspect(c, x, exact.scores(now.with_effects(c.effect([x])), seed))
-
-
-def unsure(differences: np.ndarray, bend: float, stride: float) -> float | None:
-    """Half of a 95 % interval for where the mean score is lowest: how slopes of sightings differ, by its bend.
-
-    Args:
-        differences: of each sighting's scores a stride above and below, (n,).
-        bend: second derivative of the mean score.
-        stride: of the logarithm of the parameter.
-    """
-    if bend <= 0:
-        return None
-    n, slopes = len(differences), differences / (2 * stride)
-    return float(student.ppf(0.975, n - 1) * slopes.std(ddof=1) / np.sqrt(n) / bend)
+    return Suspect(c, x, exact.scores_by_gain(now.with_effects(c.effect([x])), seed))
 
 
 def told(s: Suspect, model: mujoco.MjModel, without: float) -> dict:
@@ -199,8 +210,3 @@ def told(s: Suspect, model: mujoco.MjModel, without: float) -> dict:
              "parameters": {e.candidate.names[0]: rounded(e.x)}} for e in s.equivalent
         ],
     }  # fmt: skip
-
-
-def rounded(x: float) -> float:
-    """Six digits are enough."""
-    return float(f"{x:.6g}")

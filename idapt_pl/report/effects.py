@@ -1,22 +1,43 @@
-"""What a grounding step found missing in the source by the target's images: effects, residuals, the sensor's errors."""
+"""What was found missing in a source by the target's images: effects, residuals, the sensor's errors."""
 
 from __future__ import annotations
+
+from html import escape
 
 import mujoco
 
 from idapt_pl.diagnosis.page import paragraph, row, table
 from idapt_pl.diagnosis.words import estimate, meaning, number, unit_at
-from idapt_pl.report.record import Step
+from idapt_pl.report.figures import drawn, forecasts
 
 
-def effects(step: Step, model: mujoco.MjModel) -> str:
-    """What was found, what it removes of the residual, and what that was read with; empty where nothing was sought."""
-    if not step.effects:
+def effects(sought: dict, model: mujoco.MjModel) -> str:
+    """What was found, what it removes of the residual, and what that was read with; empty where nothing was sought.
+
+    Args:
+        sought: as in ``effects.json``.
+        model: of the source.
+    """
+    if not sought:
         return ""
-    rows = found(step.effects, model)
+    rows = found(sought, model)
     heads = ("effect looked for and found", "parameter", "#estimate", "#95 % interval", "unit", "")
     none = "Effects that the source lacks were looked for in the target's images; none was found."
-    return residuals(step.effects) + (table(heads, rows) if rows else paragraph(none)) + channels(step.effects)
+    parts = [residuals(sought), table(heads, rows) if rows else paragraph(none), picture(sought), channels(sought)]
+    return "".join(parts)
+
+
+def picture(sought: dict) -> str:
+    """An episode of the target and what forecasts it."""
+    if "example" not in sought:
+        return ""
+    told = (
+        "A typical episode of the target as the sensor reads its images, and what the source makes of the same "
+        "commands from several resets, seen through G and read by the same sensor. The joints shown are those of "
+        "which the source is furthest off."
+    )
+    shown = f'<div class="wide">{drawn(forecasts(sought["example"]))}</div>'
+    return f"<figure>{shown}<figcaption>{escape(told)}</figcaption></figure>"
 
 
 def residuals(effects: dict) -> str:

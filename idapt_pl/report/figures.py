@@ -1,15 +1,18 @@
-"""The figure of a run: returns in the target against what they cost."""
+"""The figures of a run: returns in the target against what they cost, and forecasts of what was read of it."""
 
 from __future__ import annotations
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from idapt_pl.diagnosis.figures import AFTER, BEFORE, STYLE, svg
+from idapt_pl.diagnosis.figures import AFTER, BEFORE, MEASURED, STYLE, plain, svg
 from idapt_pl.report.record import Record
 
 ORACLE = "#2f7d3b"
+SHOWN = 4
+"""Channels of a forecast, those that moved most for how far off it was."""
 
 
 def returns(record: Record, metric: str) -> str:
@@ -38,4 +41,47 @@ def returns(record: Record, metric: str) -> str:
         axis.set_xlabel("target interactions used for training (control steps)")
         axis.set_ylabel(f"{metric} in the target")
         figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=9)
+        return svg(figure)
+
+
+def forecasts(example: dict) -> Figure:
+    """One episode as read of the target, and ensembles that forecast it without and with effects; a panel a channel.
+
+    Args:
+        example: as in ``effects.json``.
+    """
+    channels, changed = example["channels"], any(c["before"] != c["after"] for c in example["channels"].values())
+    bands = {"before": "the source", "after": "with the effects"} if changed else {"before": "the source"}
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.6, 4.6), layout="constrained")
+        axes = figure.subplots(2, 2, sharex=True).ravel()
+        for axis, name in zip(axes, telling(channels), strict=False):
+            c = channels[name]
+            time = example["dt"] * np.arange(len(c["read"]))
+            for (key, label), colour in zip(bands.items(), (BEFORE, AFTER), strict=False):
+                axis.fill_between(time, c[key]["low"], c[key]["high"], color=colour, alpha=0.2, lw=0)
+                axis.plot(time, c[key]["mean"], color=colour, lw=1.6, label=f"{label} (band: all of the ensemble)")
+            axis.plot(time, c["read"], ".", color=MEASURED, ms=4, label="read of the target")
+            axis.set_title(f"{plain(name)} ({c['unit']})", loc="left", fontsize=10)
+        for axis in axes[2:]:
+            axis.set_xlabel(f"time in episode {example['episode']} (s)")
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def telling(channels: dict[str, dict]) -> list[str]:
+    """Channels whose first forecast is furthest off for how much they move, in the model's order."""
+
+    def off(c: dict) -> float:
+        read = np.array(c["read"])
+        return float(np.square(read - c["before"]["mean"]).mean() / max(read.var(), 1e-12))
+
+    keep = sorted(channels, key=lambda name: -off(channels[name]))[:SHOWN]
+    return [name for name in channels if name in keep]
+
+
+def drawn(figure: Figure) -> str:
+    """As SVG."""
+    with matplotlib.rc_context(STYLE):
         return svg(figure)

@@ -157,7 +157,7 @@ def step_section(record: Record, step: Step, metric: str, grounding: IterativeGr
     """One grounding step: in words, in pictures, in numbers."""
     model = grounding.worlds.source_domain.compile()
     parts = [paragraph(s) for s in story(record, step, metric)]
-    parts += [appearance(step), effects(step, model), looks(step, grounding), numbers(step, metric)]
+    parts += [appearance(step), effects(step.effects, model), looks(step, grounding), numbers(step, metric)]
     title = f"Step {step.k}: {'G, F and the policy' if step.k else 'G, and effects' if repaired(step) else 'G alone'}"
     made = section(title, *(p for p in parts if p))
     return made.replace("<section>", '<section class="rolled">') if step.selection.get("rolled_back") else made

@@ -1,0 +1,128 @@
+"""`idapt diagnose --run`: recordings of images, read by the estimator of a run."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.markup import escape
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+from cli.arguments import show_bar
+from cli.run_folder import load_estimator, load_visual
+from idapt_pl.appearance import discover_looks
+from idapt_pl.diagnosis.words import number
+from idapt_pl.discovery import CANDIDATES, Discovery
+from idapt_pl.discovery.discover import by_forecasts
+from idapt_pl.domains import Domain, Effect
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.files import write_atomically
+from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.report.diagnosed import verdict_in_words, write_diagnosed
+from idapt_pl.sensing import Readings, Sensor, read_calibrated
+
+
+@dataclass(frozen=True)
+class Images:
+    """Recordings of images as a run's sensor reads them.
+
+    Attributes:
+        sensor: the estimator of the run's last grounding step.
+        G: shows it source images.
+        control: recordings of the source; the sensor was not fitted to them, where the run has such.
+        readings: of both.
+    """
+
+    sensor: Sensor
+    G: VisualTransformation
+    control: Path
+    readings: Readings
+
+    def how(self, source: Domain) -> dict[str, Any]:
+        """How the sensor reads, for :func:`~idapt_pl.diagnosis.diagnose`.
+
+        Its errors on images of the source count as noise, although they depend on the state and are not white: see
+        decision 17.
+        """
+        noise = self.readings.calibration.noise(source.compile(), self.sensor.task.unseen)
+        return {"noise": noise, "unmeasured": self.readings.unmeasured}
+
+
+def read_images(grounding: IterativeGrounding, data: Path) -> Images:
+    """Read recordings with the estimator of a run."""
+    worlds, run = grounding.worlds, grounding.stages.run_dir
+    sensor, G = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack), load_visual(grounding)
+    control = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
+    return Images(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))
+
+
+def forecast(
+    grounding: IterativeGrounding, images: Images, o: argparse.Namespace, declared: Sequence[Effect]
+) -> tuple[dict, list[str]]:
+    """Diagnose by forecasts, for a sensor that cannot tell how fast things move.
+
+    Args:
+        grounding: of the run.
+        images: as read.
+        o: arguments of ``idapt diagnose``.
+        declared: effects known already.
+
+    Returns:
+        The report and the verdict in words.
+
+    Raises:
+        ValueError: if episodes were chosen, of which forecasts take the first.
+    """
+    if o.fit or o.hold_out:
+        raise ValueError(
+            f"{o.run}: its sensor cannot tell how fast things move, so effects are judged by forecasts of {o.data}'s "
+            "first episodes, and by none that is held out: leave --fit and --hold-out away"
+        )
+    worlds, started = grounding.worlds, time.perf_counter()
+    options = Discovery(True, tuple(o.candidates or CANDIDATES), o.max_effects)
+    source = worlds.source_domain.with_effects(*declared)
+    layout = "{desc}: {n} hypotheses played and rendered {elapsed}"
+    with tqdm(desc="forecasts", bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
+
+        def seen(domain: Domain, num_envs: int) -> VectorImageEnv:
+            bar.update()
+            return worlds.seen(domain, num_envs)
+
+        sought = by_forecasts(
+            worlds.task, source, images.sensor, images.G, [o.data], [images.control], options, o.seed, seen,
+            images.readings,
+        )  # fmt: skip
+    names = (o.run.name, o.data.name)
+    report = write_diagnosed(
+        sought, worlds.source_domain, declared, o.out, names, time.perf_counter() - started
+    )  # fmt: skip
+    return report, verdict_in_words(report, source.compile())
+
+
+def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int) -> None:
+    """Say which visual effects the source of a run lacks; write ``looks.yaml`` and ``looks.png``.
+
+    Every episode must begin as the task's do.
+    """
+    worlds, console = grounding.worlds, Console()
+    found = discover_looks(worlds.task, worlds.source_domain, data, seed, worlds.view)
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(found["effects"])))
+    write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found["picture"])))
+    names = ", ".join(f"{e['effect']} of {e['target']}" for e in found["estimates"]) or "none was found"
+    before, after, floor = (number(found[k]) for k in ("before", "after", "floor"))
+    for sentence in (
+        f"visual effects that the source lacks: {names}.",
+        f"The recording's first frames are {before} levels of 255 from the source's, {after} with these effects; noise "
+        f"alone makes {floor}. {out / 'looks.png'} shows source, source with the effects, recording.",
+    ):
+        console.print(escape(sentence), soft_wrap=True, highlight=False)

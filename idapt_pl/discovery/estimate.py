@@ -1,0 +1,45 @@
+"""Where forecasts are best: a parabola through the scores of several values of a parameter, and how sure that is."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+NEAR = 0.7
+"""Of the logarithm of a parameter: values further from the best one tried say nothing of where the lowest point is."""
+
+
+def lowest(x: np.ndarray, scores: np.ndarray) -> tuple[float, bool]:
+    """Where a parabola is lowest, among the values tried or a stride beyond; whether it is among them.
+
+    Args:
+        x: logarithms of a parameter's values, (k,) with k > 2.
+        scores: at these, (k,).
+    """
+    best = x[np.argmin(scores)]
+    if len(np.unique(x)) < 3:  # at a bound
+        return float(best), False
+    near = np.abs(x - best) <= max(NEAR, np.sort(np.abs(np.unique(x) - best))[2])
+    bend, slope, _ = np.polyfit(x[near] - best, scores[near], 2)
+    low, high = x[near].min() - best, x[near].max() - best
+    stride = (high - low) / 2
+    bottom = -slope / (2 * bend) if bend > 0 else -np.sign(slope) * np.inf
+    return float(best + np.clip(bottom, low - stride, high + stride)), bool(low <= bottom <= high)
+
+
+def uncertainty(x: np.ndarray, scores: np.ndarray, misread: np.ndarray) -> float:
+    """Half of a 95 % interval for where it is lowest, of the logarithm of the parameter.
+
+    Two things are unknown: which episodes were seen (jackknife), and whether what is read of a motion is as large as
+    the motion.
+
+    Args:
+        x: logarithms of a parameter's values, (k,).
+        scores: of each sighting there, (k, n).
+        misread: the same, had one standard deviation more and less been read, (2, k, n).
+    """
+    n = scores.shape[1]
+    without = np.array([lowest(x, np.delete(scores, i, 1).mean(1))[0] for i in range(n)])
+    of_episodes = np.sqrt((n - 1) * without.var())
+    more, less = (lowest(x, m.mean(1))[0] for m in misread)
+    return float(student.ppf(0.975, n - 1) * np.hypot(of_episodes, (more - less) / 2))
