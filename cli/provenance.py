@@ -128,10 +128,11 @@ def git_commit() -> str | None:
 
 
 def cpu_model() -> str:
-    """The processor's name, as far as the system tells."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
+    """The processor's name, as far as the system tells, and the vector instructions that torch uses of it."""
+    info, name = Path("/proc/cpuinfo"), platform.processor()
+    lines = info.read_text().splitlines() if info.exists() else []
+    for line in lines:
+        if line.startswith("model name"):
+            name = line.split(":", 1)[1].strip()
+            break
+    return f"{name}, {torch.backends.cpu.get_cpu_capability()}"

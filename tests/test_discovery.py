@@ -133,6 +133,13 @@ def test_where_a_sensor_cannot_tell_how_fast_things_move_forecasts_decide(tmp_pa
         mass = result["estimates"][0]["parameters"]["mass"]
         assert mass["estimate"] == pytest.approx(50.0, rel=0.1) and mass["ci95"][0] < 50.0 < mass["ci95"][1]
         assert result["after"] < 0.7 * result["before"] and result["explained"] > 0.7
+    shown = result["example"]["channels"]
+    assert list(shown) == ["slider", "hinge"] and all(
+        len(c["read"]) == len(c["before"]["mean"]) for c in shown.values()
+    )
+    off = {k: sum(np.square(np.subtract(c["read"], c[k]["mean"])).sum() for c in shown.values())
+           for k in ("before", "after")}  # fmt: skip
+    assert off["after"] < 0.5 * off["before"] if hidden else off["after"] == off["before"]
 
 
 def test_two_planted_effects_are_found(tmp_path):

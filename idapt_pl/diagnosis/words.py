@@ -142,13 +142,17 @@ def verdict_in_words(report: dict, model: mujoco.MjModel) -> list[str]:
 
 def found(report: dict, model: mujoco.MjModel) -> list[str]:
     """What the model lacks, and what adding it gains."""
-    effects, error = report["effects"], report["error"]
+    return [lacking(report, model), gain(report["error"], "it" if len(report["effects"]) == 1 else "them")]
+
+
+def lacking(report: dict, model: mujoco.MjModel) -> str:
+    """What was found, as a sentence."""
+    effects = report["effects"]
     listed = "; ".join(in_words(e, model) for e in effects)
     new = all(p["nominal"] == 0 for e in effects for p in e["parameters"].values())
     what = ("effect" if new else "change") + "s" * (len(effects) > 1)
     how_many = "one" if len(effects) == 1 else str(len(effects))
-    first = f"The model {'lacks' if new else 'needs'} {how_many} {what}: {listed}."
-    return [first, gain(error, "it" if len(effects) == 1 else "them")]
+    return f"The model {'lacks' if new else 'needs'} {how_many} {what}: {listed}."
 
 
 def gain(error: dict, them: str) -> str:

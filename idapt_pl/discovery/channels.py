@@ -55,7 +55,6 @@ def example(
         return {name: [rounded(x) for x in values] for name, values in rows.items()}
 
     return {
-        "episode": k,
         "dt": dt,
         "channels": {
             name: {

@@ -12,7 +12,7 @@ from torch.utils.tensorboard import SummaryWriter
 from idapt_pl.diagnosis.page import CSS, TONES, difference, paragraph, row, section, table
 from idapt_pl.diagnosis.repaired import Repaired, repair
 from idapt_pl.diagnosis.report import write_model
-from idapt_pl.diagnosis.words import in_words, meaning, number, undecided
+from idapt_pl.diagnosis.words import lacking, meaning, number, undecided
 from idapt_pl.discovery.forecasts import EPISODES, STEPS
 from idapt_pl.domains import Domain, Effect, effect_from_dict
 from idapt_pl.files import write_atomically, write_json, write_yaml
@@ -81,11 +81,14 @@ def verdict_in_words(report: dict, model: mujoco.MjModel) -> list[str]:
             f"The energy score of the source's forecasts is {number(error['before'])}, and {level}; the difference may "
             "be what G and the sensor get wrong in these images, or an effect that was not tried.",
         ]
-    listed = "; ".join(in_words(e, model) for e in report["effects"])
-    before, after = number(error["before"]), number(error["after"])
+    before, after, them = (
+        number(error["before"]),
+        number(error["after"]),
+        "it" if len(report["effects"]) == 1 else "them",
+    )
     return [
-        f"The source lacks {'this' if len(report['effects']) == 1 else 'these'}: {listed}.",
-        f"With it, the energy score of forecasts is {after} instead of {before} (less is better; {level}).",
+        lacking(report, model),
+        f"With {them}, the energy score of forecasts is {after} instead of {before} (less is better; {level}).",
         *undecided(report),
     ]
 
@@ -133,7 +136,7 @@ def page(sought: dict, report: dict, repaired: Repaired, model: mujoco.MjModel, 
     """The whole page."""
     (first, *more), title = verdict_in_words(report, model), HEADLINES[report["verdict"]]
     heads = ("effect looked for and found", "parameter", "#estimate", "#95 % interval", "unit", "")
-    rows = found(sought, model)
+    rows = found(sought, model, "in patched.xml")
     parts = [
         f'<header>\n<p class="small">{escape(" against ".join(names))}</p>\n<h1>{escape(title)}</h1>\n'
         + "\n".join([paragraph(first, "lead"), *map(paragraph, more)])

@@ -61,8 +61,8 @@ def residuals(effects: dict) -> str:
     )
 
 
-def found(effects: dict, model: mujoco.MjModel) -> list[str]:
-    """A row for each parameter of each effect, and whether it was added."""
+def found(effects: dict, model: mujoco.MjModel, kept: str = "added to the source") -> list[str]:
+    """A row for each parameter of each effect, and what became of it; ``kept`` is what is said of believed ones."""
     believed, rows = {(e["effect"], e["target"]) for e in effects.get("effects", [])}, []
     left_out = effects.get("left_out", [])
     for e in (*effects.get("estimates", []), *left_out):
@@ -71,7 +71,7 @@ def found(effects: dict, model: mujoco.MjModel) -> list[str]:
         doubt = "forecasts are not surely better" if effects.get("forecasts") else doubt
         for name, p in e["parameters"].items():
             value, interval = estimate(p["estimate"], p["ci95"])
-            fate = "added to the source" if known else f"not believed: {doubt}"
+            fate = kept if known else f"not believed: {doubt}"
             what = (meaning(e["effect"], e["target"]), name, f"#{value}", f"#{interval or '-'}")
             rows.append(row(*what, unit_at(model, e["target"], p["unit"]), fate, kind="accepted" if known else ""))
     return rows

@@ -64,7 +64,7 @@ def forecasts(example: dict) -> Figure:
             axis.plot(time, c["read"], ".", color=MEASURED, ms=4, label="read of the target")
             axis.set_title(f"{plain(name)} ({c['unit']})", loc="left", fontsize=10)
         for axis in axes[2:]:
-            axis.set_xlabel(f"time in episode {example['episode']} (s)")
+            axis.set_xlabel("time in the episode (s)")
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=9)
     return figure
