@@ -25,7 +25,7 @@ from idapt_pl.tasks import Task
 
 MEMBERS = 4
 """Of an ensemble: how often commands are played, each time from another reset."""
-STEPS = 25
+STEPS = 20
 """Control steps that are forecast: what follows says ever less, since contacts multiply what resets differ by."""
 EPISODES = 12
 """That are forecast."""

@@ -32,7 +32,9 @@ REFINED = 2
 PROMISING = 0.03
 """Share of the score that the best of them must be worth for that, from other resets than it was chosen by."""
 OTHER = 1000
-"""What is added to a seed for these and, once more other ones, for the verdict."""
+"""Seeds so far apart share no resets: what is chosen by some is checked by others."""
+VERDICT = 3
+"""Ensembles that the verdict is of, each of fresh resets: one more and one less of a few differ by a tenth."""
 STRIDE = 0.5
 """Of the logarithm of a parameter, to either side: where the lowest point is first looked for ..."""
 AROUND = (-0.5, -0.25, 0.25, 0.5)
@@ -96,8 +98,10 @@ def search(
         best = best_of(now, candidates, quick, exact, seed)
         if best is None:
             break
-        fresh = seed + OTHER
-        without, with_it = (exact.scores(d, fresh) for d in (now, now.with_effects(best.effect)))
+        fresh = [seed + OTHER * (k + 2) for k in range(VERDICT)]
+        without, with_it = (
+            np.mean([exact.scores(d, s) for s in fresh], 0) for d in (now, now.with_effects(best.effect))
+        )
         gain, error = paired_gain(without, with_it, np.arange(len(without)))
         log.info(
             "%s = %.4g: what is read of the target is forecast %.3g ± %.2g better than %.3g",
@@ -115,7 +119,7 @@ def best_of(
     """The candidate with the best forecasts, its value refined; None where none is promising."""
     judged = [at(now, s.candidate, s.x, exact, seed) for s in screened(now, candidates, quick, seed)[:FINALISTS]]
     judged.sort(key=lambda s: s.score)
-    if not judged or not promising(now, judged[0].effect, exact, seed + OTHER // 2):
+    if not judged or not promising(now, judged[0].effect, exact, seed + OTHER):
         return None
     nearer = [closer(now, s, exact, seed) for s in judged[:REFINED]]
     nearer.sort(key=lambda tried: min(s.score for s in tried))
