@@ -4,7 +4,11 @@ The recordings are replayed in the model in short windows from measured states. 
 wrong is traced to an effect (friction, mass, delay, ...) by switching every effect on, refitting the
 best and judging them on episodes that nothing was fitted to. DIR then holds report.html (start
 there), report.json, patched.xml (the repaired model), effects.yaml and TensorBoard events.
-See docs/diagnose.md.
+
+With --run, recordings of images are read by the estimator of a run of idapt fit. Where that cannot
+tell how fast things move, no windows are replayed: the recordings' commands are played from resets,
+and effects are judged by how well that forecasts what is read (minutes, not seconds).
+See docs/diagnose.md and docs/discovery.md.
 """
 
 from __future__ import annotations
@@ -63,7 +67,12 @@ def main(args: list[str]) -> int:
     p.add_argument(
         "--hold-out", type=int, nargs="+", metavar="EPISODE", help="episodes to judge on (default: every fourth)"
     )
-    p.add_argument("--candidates", nargs="+", metavar="EFFECT", help="consider these effects alone (default: all)")
+    p.add_argument(
+        "--candidates",
+        nargs="+",
+        metavar="EFFECT",
+        help="consider these effects alone (default: all; by forecasts, those of idapt fit)",
+    )
     p.add_argument("--max-effects", type=int, default=Settings.max_effects, metavar="N", help="stop after so many")
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"

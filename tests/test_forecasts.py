@@ -1,11 +1,13 @@
 """Forecasts of what a sensor reads: a proper score, the same resets for all, planted effects found and no others."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.discovery.discover import of_one_parameter
 from idapt_pl.discovery.estimate import lowest
 from idapt_pl.discovery.forecasts import Forecasts, Sighting, energy_score, held, play
 from idapt_pl.discovery.search import at, closer, refine, values
@@ -137,6 +139,13 @@ def test_misreadings_scale_motions_from_where_they_began():
     assert np.array_equal(larger.read[0], seen.read[0])
     assert larger.read[-1] - seen.read[-1] == pytest.approx(0.05 * (seen.read[-1] - seen.read[0]), rel=1e-4)
     assert forecasts.scores_by_gain(SOURCE, 0)[0] == pytest.approx(forecasts.scores(SOURCE, 0))
+
+
+def test_effects_of_several_parameters_are_an_error_that_names_them():
+    two = Candidate(JointDamping, "hinge", ("damping", "other"), (0.0, 0.0), (1.0, 1.0))
+    with pytest.raises(ValueError, match="joint_damping has several parameters"):
+        of_one_parameter([pole(), two])
+    assert of_one_parameter([pole(), replace(two, kind=BodyMass)]) == [pole()]
 
 
 def test_first_values_are_on_both_sides_and_inside_the_bounds():

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.data import recordings
-from idapt_pl.diagnosis.library import library, surroundings
+from idapt_pl.diagnosis.library import Candidate, library, surroundings
 from idapt_pl.diagnosis.search import choose
 from idapt_pl.discovery.channels import errors, example
 from idapt_pl.discovery.forecasts import STEPS, Compared, by_images, by_states, sightings
@@ -83,7 +83,7 @@ def by_forecasts(
     quick = by_states(seen, source, compared, calibration.position, dt, seed)
     recorded, _ = recordings(model, readings.target)
     around = surroundings(model, recorded, STEPS * dt)
-    candidates = [c for c in choose(library(source.spec(), around), options.candidates) if c.size == 1]
+    candidates = of_one_parameter(choose(library(source.spec(), around), options.candidates))
     found, next_best = search(source, candidates, quick, exact, options.max_effects, seed)
 
     repaired = source.with_effects(*(s.effect for s in found))
@@ -112,3 +112,15 @@ def by_forecasts(
         "control": errors(compared, calibration, *[in_control.errors_of(its_own)] * 2),
         "example": example(compared, seen, first, last, before - after, dt),
     }
+
+
+def of_one_parameter(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those that forecasts can judge.
+
+    Raises:
+        ValueError: naming an effect of which none is.
+    """
+    single = [c for c in candidates if c.size == 1]
+    if several := sorted({c.kind.name for c in candidates} - {c.kind.name for c in single}):
+        raise ValueError(f"{several[0]} has several parameters, and forecasts judge effects of one: leave it out")
+    return single
