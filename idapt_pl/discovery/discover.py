@@ -16,6 +16,7 @@ from idapt_pl.diagnosis.data import recordings
 from idapt_pl.diagnosis.library import Candidate, library, surroundings
 from idapt_pl.diagnosis.search import choose
 from idapt_pl.discovery.channels import errors, example
+from idapt_pl.discovery.estimate import UNSEEN
 from idapt_pl.discovery.forecasts import STEPS, Compared, by_images, by_states, sightings
 from idapt_pl.discovery.options import SHORTEST, Discovery
 from idapt_pl.discovery.search import search, told
@@ -23,7 +24,7 @@ from idapt_pl.discovery.windows import by_windows
 from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import GAIN, Readings, Sensor, read_calibrated
+from idapt_pl.sensing import Readings, Sensor, read_calibrated
 from idapt_pl.tasks import Task
 
 
@@ -68,7 +69,7 @@ def by_forecasts(
     """For a sensor that cannot tell how fast things move; ``readings`` are what it read, the rest as above.
 
     Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, ``forecasts`` is true, one
-    episode an ``example``, and nothing is sought in the control.
+    episode an ``example``, nothing is sought in the control, and intervals allow for an ``unknown_error``.
     """
     model, dt = source.compile(), readings.target.dt
     compared, calibration = Compared(task, model), readings.calibration
@@ -104,7 +105,7 @@ def by_forecasts(
         "removed": {"target": 1 - now / was},
         "unread": {name: round(share, 5) for name, share in readings.unread.items()},
         "sensor": calibration.to_dict(model, task.unseen),
-        "unknown_gain": GAIN,
+        "unknown_error": UNSEEN,
         "forecasts": True,
         "before": was,
         "after": now,

@@ -20,7 +20,7 @@ from idapt_pl.discovery.options import SHORTEST
 from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.sensing import GAIN, Sensor
+from idapt_pl.sensing import Sensor
 from idapt_pl.tasks import Task
 
 MEMBERS = 4
@@ -73,17 +73,6 @@ class Forecasts:
     def scores(self, domain: Domain, seed: int, count: int | None = None) -> np.ndarray:
         """Energy score of every sighting in a domain, (n,); less is better."""
         return self.scores_of(self.ensembles(domain, seed, count))
-
-    def scores_by_gain(self, domain: Domain, seed: int) -> np.ndarray:
-        """Scores, and what they were if motions were 5 % larger than read, and smaller, (3, n)."""
-        expected = self.ensembles(domain, seed)
-        return np.stack([self.larger(g).scores_of(expected) for g in (1.0, 1 + GAIN, 1 - GAIN)])
-
-    def larger(self, gain: float) -> Forecasts:
-        """Other sightings: motions so many times as large, from where they began."""
-        return replace(
-            self, sightings=tuple(Sighting(s.commands, s.read[0] + gain * (s.read - s.read[0])) for s in self.sightings)
-        )
 
     def scores_of(self, expected: Sequence[np.ndarray]) -> np.ndarray:
         """Energy scores of :meth:`ensembles`, (n,)."""

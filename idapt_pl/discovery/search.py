@@ -52,14 +52,14 @@ class Suspect:
     Attributes:
         candidate: an effect with one parameter.
         x: its value.
-        by_gain: scores of each sighting, (1 or 3, n): as they were read, and had more been read of them, or less.
+        scores: energy score of each sighting, (n,).
         interval: 95 %, or None.
         equivalent: others that do as well.
     """
 
     candidate: Candidate
     x: float
-    by_gain: np.ndarray
+    scores: np.ndarray
     interval: tuple[float, float] | None = None
     equivalent: list[Suspect] = field(default_factory=list)
 
@@ -67,11 +67,6 @@ class Suspect:
     def effect(self) -> Effect:
         """The effect."""
         return self.candidate.effect([self.x])
-
-    @property
-    def scores(self) -> np.ndarray:
-        """Energy score of each sighting, (n,)."""
-        return self.by_gain[0]
 
     @property
     def score(self) -> float:
@@ -135,7 +130,7 @@ def screened(now: Domain, candidates: Sequence[Candidate], quick: Forecasts, see
     without = quick.scores(now, seed, SCREENED).mean()
     tried = []
     for c in candidates:
-        here = [Suspect(c, x, quick.scores(now.with_effects(c.effect([x])), seed, SCREENED)[None]) for x in values(c)]
+        here = [Suspect(c, x, quick.scores(now.with_effects(c.effect([x])), seed, SCREENED)) for x in values(c)]
         tried += [min(here, key=lambda s: s.score)] if here else []
     return sorted((s for s in tried if s.score < without), key=lambda s: s.score)
 
@@ -174,8 +169,7 @@ def refine(now: Domain, tried: Sequence[Suspect], exact: Forecasts, seed: int) -
     best, (middle, among) = min(tried, key=lambda t: t.score), lowest(*curve(tried))
     if not among:
         return best
-    scores, *misread = np.stack([t.by_gain for t in tried], 1)
-    half = uncertainty(curve(tried)[0], scores, np.stack(misread))
+    half = uncertainty(curve(tried)[0], np.stack([t.scores for t in tried]))
     return replace(best, x=np.exp(middle), interval=(np.exp(middle - half), np.exp(middle + half)))
 
 
@@ -188,7 +182,7 @@ def at(now: Domain, c: Candidate, x: float, exact: Forecasts, seed: int) -> Susp
     """A candidate at a value, moved inside its bounds."""
     (low,), (high,) = c.bounds()
     x = float(np.clip(x, max(low, 1e-12), high))
-    return Suspect(c, x, exact.scores_by_gain(now.with_effects(c.effect([x])), seed))
+    return Suspect(c, x, exact.scores(now.with_effects(c.effect([x])), seed))
 
 
 def told(s: Suspect, model: mujoco.MjModel, without: float) -> dict:

@@ -92,6 +92,8 @@ def channels(effects: dict) -> str:
     left_out = f" Frames unlike those it learned from were left out: {shares}." if shares else ""
     gain = effects.get("unknown_gain")
     allowed = f" Intervals allow for readings that are {number(100 * gain)} % too large or small." if gain else ""
+    if error := effects.get("unknown_error"):
+        allowed = f" Intervals allow for {number(100 * error)} % by which G and the sensor may mislead an estimate."
     does = "forecasts" if effects.get("forecasts") else "replays"
     told = paragraph(
         "Root mean square errors. The sensor is what estimates states from images; its error is measured on images of "
