@@ -1,6 +1,7 @@
 """Does finding effects from images save target interactions? IDAPT with and without it, on the same data.
 
-    python benchmarks/curves.py --seeds 0 1 2 3 4 --images 5000 2500
+    python benchmarks/curves.py --seeds 0 1 2 3 4
+    python benchmarks/curves.py --seeds 0 1 2 --images 2500 --methods "with effects" --schedule.grounding_steps 0
 
 For each seed and number of exploratory target interactions a quick config is run twice, with ``--effects.discover``
 false and true. The second run takes over what both have in common, everything up to the first search
@@ -29,6 +30,7 @@ COMMON = ("target", "source", "state_predictor", "source_policy", "source_teache
           "translated", "estimator", "direct_transfer")  # fmt: skip
 """Stages of step 0 that come before effects are looked for."""
 KEY = ("config", "images", "seed", "method")
+WITHOUT, WITH = METHODS = ("without", "with effects")
 
 
 def take_over(done: Path, folder: Path) -> None:
@@ -93,7 +95,7 @@ def draw(table: Sequence[dict[str, str]], path: Path) -> None:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.4 * len(configs), 3.4), layout="constrained")
         for axis, config in zip(figure.subplots(1, len(configs), squeeze=False)[0], configs, strict=True):
-            for method, colour in (("without", BEFORE), ("with effects", AFTER)):
+            for method, colour in ((WITHOUT, BEFORE), (WITH, AFTER)):
                 for images, seeds in curves(table, config, method).items():
                     for one in seeds:
                         axis.plot(*one.T, color=colour, lw=0.7, alpha=0.5)
@@ -110,6 +112,7 @@ def main() -> None:
     p.add_argument("--config", default="pendulum_quick", help="name of a file in configs/, without .yaml")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--images", type=int, nargs="+", default=[5000], help="exploratory target interactions")
+    p.add_argument("--methods", choices=METHODS, nargs="+", default=METHODS)
     p.add_argument("--out", type=Path, default=ROOT / "results/curves.csv")
     o, extra = p.parse_known_args()
     for images in o.images:
@@ -117,11 +120,13 @@ def main() -> None:
             about = {"config": o.config, "images": images, "seed": seed}
             config, name = ROOT / f"configs/{o.config}.yaml", f"curves_{o.config}_{images}"
             settings = ["--schedule.images", str(images), *extra, "--effects.discover"]
-            plain = run(config, seed, [*settings, "false"], name)
-            replace_rows(o.out, rows(plain, about | {"method": "without"}), KEY)
-            take_over(plain, ROOT / f"runs/{name}_effects_{seed}")
-            repaired = run(config, seed, [*settings, "true"], f"{name}_effects")
-            replace_rows(o.out, rows(repaired, about | {"method": "with effects"}), KEY)
+            if WITHOUT in o.methods:
+                plain = run(config, seed, [*settings, "false"], name)
+                replace_rows(o.out, rows(plain, about | {"method": WITHOUT}), KEY)
+                take_over(plain, ROOT / f"runs/{name}_effects_{seed}")
+            if WITH in o.methods:
+                repaired = run(config, seed, [*settings, "true"], f"{name}_effects")
+                replace_rows(o.out, rows(repaired, about | {"method": WITH}), KEY)
     draw(read_rows(o.out), o.out.with_suffix(".png"))
 
 

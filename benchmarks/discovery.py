@@ -105,7 +105,7 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
         record(grounding, source, control, steps, seed + 200)
     started = time.perf_counter()
     reads = Translated(**vars(sensor), always=G) if look == TRANSLATED else sensor
-    result = discover(worlds.task, source, reads, G, [path], [control], Discovery(True), seed, worlds.seen)
+    result = discover(source, reads, G, [path], [control], Discovery(True), seed, worlds.seen)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 

@@ -98,7 +98,7 @@ def forecast(
             return worlds.seen(domain, num_envs)
 
         sought = by_forecasts(
-            worlds.task, source, images.sensor, images.G, [o.data], [images.control], options, o.seed, seen,
+            source, images.sensor, images.G, [o.data], [images.control], options, o.seed, seen,
             images.readings,
         )  # fmt: skip
     names = (o.run.name, o.data.name)

@@ -174,9 +174,7 @@ class IterativeGrounding:
         sensor = Sensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
-            return discover(
-                worlds.task, worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen
-            )
+            return discover(worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen)
 
         found = self.stages.measure(k, "effects", make)["effects"]
         self._repair(k, found)

@@ -103,7 +103,7 @@ def found(tmp_path, *hidden, gain=1.0, options=LOOK_FOR, recorded=recorded):
     target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
     sensor = Sensor(Reader(gain), task, 3)
     make_env = lambda domain, n: PictureEnv(task, domain, n)  # noqa: E731
-    return discover(task, source, sensor, Identity(), [target], [control], options, 0, make_env)
+    return discover(source, sensor, Identity(), [target], [control], options, 0, make_env)
 
 
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])

@@ -25,19 +25,17 @@ from idapt_pl.domains import Domain
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.sensing import Readings, Sensor, read_calibrated
-from idapt_pl.tasks import Task
 
 
 def discover(
-    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
 ) -> dict:  # fmt: skip
     """Find the effects that the target's images show the source to lack.
 
     Args:
-        task: whose states tell positions.
         source: the domain to be repaired, with what has been found so far.
-        sensor: reads target images.
+        sensor: reads target images; its task's states tell positions.
         G: shows source images as target images.
         target: trajectory files of the target; images and actions are all that is used.
         control: trajectory files of the source as it is now, with images and states; the sensor was not fitted to them.
@@ -57,12 +55,12 @@ def discover(
     """
     readings = read_calibrated(sensor, source, target, control, G)
     if readings.calibration.vague:
-        return by_forecasts(task, source, sensor, G, target, control, options, seed, make_env, readings)
-    return by_windows(task, source, readings, options, seed)
+        return by_forecasts(source, sensor, G, target, control, options, seed, make_env, readings)
+    return by_windows(sensor.task, source, readings, options, seed)
 
 
 def by_forecasts(
-    task: Task, source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
+    source: Domain, sensor: Sensor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: Discovery, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
     readings: Readings,
 ) -> dict:  # fmt: skip
@@ -71,7 +69,7 @@ def by_forecasts(
     Errors ``before`` and ``after`` are energy scores then, channels those of forecasts, ``forecasts`` is true, one
     episode an ``example``, nothing is sought in the control, and intervals allow for an ``unknown_error``.
     """
-    model, dt = source.compile(), readings.target.dt
+    task, model, dt = sensor.task, source.compile(), readings.target.dt
     compared, calibration = Compared(task, model), readings.calibration
     seen = sightings(sensor, read_all(target), dt, compared)
     if len(seen) < 2:
