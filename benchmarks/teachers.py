@@ -1,10 +1,10 @@
-"""Is it dynamics or seeing that a transferred policy lacks? A run's teachers, which see true states, beside its policies.
+"""Is it dynamics or seeing that a transferred policy lacks? A run's teachers, which see states, and its policies.
 
     python benchmarks/teachers.py --runs runs/benchmark_cheetah_quick_IDAPT_0 runs/benchmark_cheetah_quick_IDAPT_1
 
 A teacher that does as well in the target as in the source, with the effects that the run found there, has nothing to
-learn of dynamics; what its student, the policy that sees images, does worse in the target than in the grounded source is
-then lost in seeing. Evaluation only: the target's states are looked at. Writes results/teachers.csv, a row a teacher;
+learn of dynamics; what its student, the policy that sees images, does worse in the target than in the grounded source
+is then lost in seeing. Evaluation only: the target's states are looked at. Writes results/teachers.csv, a row a teacher;
 ``policy_grounded`` and ``policy_target`` are of the run's evaluation.json.
 """
 
@@ -58,10 +58,11 @@ def measure(run: Path, episodes: int, seed: int) -> list[dict]:
             found = returns(worlds.task, teacher, domain, episodes, seed)
             row |= {name: round(float(found.mean()), 1), f"{name}_std": round(float(found.std()), 1)}
         evaluation = path.parents[1] / "evaluation.json"
-        if path.parent.name == "teacher" and evaluation.exists():
-            result = json.loads(evaluation.read_text())
-            row |= {f"policy_{k}": round(result[k]["mean"], 1) for k in ("grounded", "target")}
-        table.append({"policy_grounded": "", "policy_target": ""} | row | {"commit": git_commit()})
+        taught = path.parent.name == "teacher" and evaluation.exists()
+        result = json.loads(evaluation.read_text()) if taught else {}
+        for k in ("grounded", "target"):
+            row[f"policy_{k}"] = round(result[k]["mean"], 1) if taught else ""
+        table.append(row | {"commit": git_commit()})
     return table
 
 
