@@ -4,8 +4,8 @@
 
 A teacher that does as well in the target as in the source, with the effects that the run found there, has nothing to
 learn of dynamics; what its student, the policy that sees images, does worse in the target than in the grounded source
-is then lost in seeing. Evaluation only: the target's states are looked at. Writes results/teachers.csv, a row a teacher;
-``policy_grounded`` and ``policy_target`` are of the run's evaluation.json.
+is then lost in seeing. Evaluation only: the target's states are looked at. Writes results/teachers.csv, a row a
+teacher; ``policy_grounded`` and ``policy_target`` are of the run's evaluation.json.
 """
 
 from __future__ import annotations
