@@ -93,16 +93,17 @@ def draw(table: Sequence[dict[str, str]], path: Path) -> None:
     """Return in the target against target interactions: each seed, thin, and their mean; a panel a config."""
     configs = dict.fromkeys(row["config"] for row in table)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(4.4 * len(configs), 3.4), layout="constrained")
+        figure = Figure(figsize=(4.4 * len(configs), 4.0), layout="constrained")
         for axis, config in zip(figure.subplots(1, len(configs), squeeze=False)[0], configs, strict=True):
             for method, colour in ((WITHOUT, BEFORE), (WITH, AFTER)):
-                for images, seeds in curves(table, config, method).items():
+                budgets = curves(table, config, method)
+                for (images, seeds), style in zip(budgets.items(), ("-", "--", ":", "-."), strict=False):
                     for one in seeds:
-                        axis.plot(*one.T, color=colour, lw=0.7, alpha=0.5)
+                        axis.plot(*one.T, style, color=colour, lw=0.7, alpha=0.5)
                     label = f"{method}, {images} images, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
-                    axis.plot(*np.mean(seeds, 0).T, color=colour, marker="o", ms=5, lw=2, label=label)
+                    axis.plot(*np.mean(seeds, 0).T, style, color=colour, marker="o", ms=5, lw=2, label=label)
             axis.set(title=config, xlabel="target interactions for training", ylabel="return in the target")
-            axis.legend(frameon=False, fontsize=9)
+            axis.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0, -0.17))
         figure.savefig(path, dpi=110)
 
 
