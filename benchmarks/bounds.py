@@ -25,9 +25,10 @@ from tables import read_rows, replace_rows
 
 from cli.provenance import cpu_model, git_commit
 from cli.trainers import plain_trainer
-from idapt_pl.experts import RECIPES, ExpertRecipe, measure, train_expert
+from idapt_pl.rl.experts import RECIPES, measure_expert, train_expert
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, Task, make_task
+from idapt_pl.tasks.recipe import ExpertRecipe
 
 ROOT = Path(__file__).parents[1]
 DOMAINS = ("source", "easy", "hard")
@@ -42,7 +43,7 @@ def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int, homes: list
         found = []
         minutes = json.loads((stages.folder(0) / trained_in / "stage.json").read_text())["wall_s"] / 60
         for domain in DOMAINS if trained_in == "source" else (trained_in,):
-            result = measure(policy, task, task.domain(domain), episodes, seed=1000 + seed)
+            result = measure_expert(policy, task, task.domain(domain), episodes, seed=1000 + seed)
             kind = "oracle" if trained_in == domain else "direct transfer"
             row = {"task": task.name, "domain": domain, "policy": kind, "seed": seed, "metric": task.metric}
             row |= {"mean": round(result.mean, 3), "std": round(result.std, 3), "episodes": episodes}

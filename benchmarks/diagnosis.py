@@ -32,7 +32,7 @@ from benchmarks.undeclared.generate import generate
 from benchmarks.undeclared.models import UNSEEN
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
-from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (
     "case", "kind", "model", "seed", "verdict", "found", "estimate", "truth", "right", "top1", "false_alarm",

@@ -40,12 +40,13 @@ from benchmarks.diagnosis import in_order, record
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
 from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.effects.candidate import Candidate
 from idapt_pl.diagnosis.model import name_elements
-from idapt_pl.diagnosis.search import begin
-from idapt_pl.diagnosis.simulator import STATE, Simulator, silence
-from idapt_pl.diagnosis.state import Search
-from idapt_pl.diagnosis.statistics import effects_of, whiten, window_loss
+from idapt_pl.diagnosis.search import begin_search
+from idapt_pl.diagnosis.simulator import STATE, Simulator, silence_mujoco
+from idapt_pl.diagnosis.search_state import Search
+from idapt_pl.diagnosis.noise import whiten
+from idapt_pl.estimation.least_squares import effects_of, robust_loss
 from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
@@ -61,7 +62,7 @@ WIDEST = 20.0
 
 def held_out_error(search: Search, residual: np.ndarray) -> float:
     """Rms of the whitened held-out error, as in report.json."""
-    return float(np.sqrt(window_loss(whiten(search.held_out.W, residual)).mean()))
+    return float(np.sqrt(robust_loss(whiten(search.held_out.W, residual)).mean()))
 
 
 # --- mujoco.sysid ---------------------------------------------------------------------------------
@@ -151,7 +152,7 @@ def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, ite
         found = np.stack([column(v, params) for v in vectors.T], 1)
         return [found[:, 0] if x.ndim == 1 else found], None, None
 
-    with silence():
+    with silence_mujoco():
         how = {"mujoco": {"eps": 0.02, "output": io.StringIO()}}.get(optimizer, {"diff_step": 0.02, "loss": "soft_l1"})
         fitted, result = sysid.optimize(params, columns, optimizer, verbose=False, max_iters=iterations, **how)
     change = fitted.as_vector()
@@ -175,7 +176,7 @@ def one_step(model: mujoco.MjModel, x: np.ndarray, u: np.ndarray, dt: float, dat
     """States (n, nq + nv) one control step later."""
     full = np.zeros((len(x), mujoco.mj_stateSize(model, STATE)))
     full[:, 1 : 1 + x.shape[1]] = x
-    with silence():
+    with silence_mujoco():
         states, _ = rollout.rollout(model, data, full, np.repeat(u[:, None], round(dt / model.opt.timestep), 1))
     return np.nan_to_num(states[:, -1, 1 : 1 + x.shape[1]]).clip(-1e3, 1e3)
 
@@ -236,7 +237,7 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     """Both baselines on one case."""
     spec, data = record(case, seed, o)
     spec = name_elements(spec.copy())
-    search = begin(spec, data, seed=seed)
+    search = begin_search(spec, data, seed=seed)
     before = held_out_error(search, search.sim.residual(search.declared, search.held_out.windows))
     return {
         "case": case.name, "kind": case.kind, "model": case.model, "seed": seed,

@@ -36,15 +36,19 @@ from tables import replace_rows
 from cli.provenance import git_commit
 from cli.run_folder import load_estimator, load_visual, open_run
 from datamodules import Episode, write_trajectories
-from idapt_pl.discovery import Discovery, discover
-from idapt_pl.domains import Domain, looks
-from idapt_pl.domains.effects import ACTUATED, ActuatorGain, BodyMass, Effect, JointArmature, JointDamping
-from idapt_pl.domains.paths import ActuatorDelay
+from idapt_pl.image_diagnosis import discover_effects
+from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.effects import Domain, visual
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.effects.base import ACTUATED, Effect
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.joints import JointArmature, JointDamping
+from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.rollout import collect
-from idapt_pl.sensing import Sensor
+from idapt_pl.rl.collect import collect
+from idapt_pl.image_diagnosis.sensor import ImageSensor
 
 CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
     "inverted_pendulum": {
@@ -80,7 +84,7 @@ FIELDS = (
 
 
 @dataclass(frozen=True)
-class Translated(Sensor):
+class Translated(ImageSensor):
     """A sensor to which all recordings are images of the source, seen through ``always``."""
 
     always: VisualTransformation
@@ -94,7 +98,7 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
     """Record a target with something hidden, look for it."""
     grounding = open_run(folder)
     worlds, G = grounding.worlds, load_visual(grounding)
-    sensor = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
+    sensor = ImageSensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
     plain = worlds.task.domain("source")
     source = plain.with_effects(*painted(worlds.repairs))  # G was trained with these, and without what moves otherwise
     looks_like = () if look == TRANSLATED else painted(worlds.target_domain.effects[len(plain.effects) :])
@@ -105,13 +109,13 @@ def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int,
         record(grounding, source, control, steps, seed + 200)
     started = time.perf_counter()
     reads = Translated(**vars(sensor), always=G) if look == TRANSLATED else sensor
-    result = discover(source, reads, G, [path], [control], Discovery(True), seed, worlds.seen)
+    result = discover_effects(source, reads, G, [path], [control], DiscoverySettings(True), seed, worlds.seen)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
 def painted(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The visual ones."""
-    return tuple(e for e in effects if type(e).__module__ == looks.__name__)
+    return tuple(e for e in effects if type(e).__module__ == visual.__name__)
 
 
 def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequence[str]) -> Path:

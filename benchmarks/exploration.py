@@ -25,21 +25,21 @@ import idapt_pl  # noqa: F401  sets the GL backend before MuJoCo is loaded
 from cli.run_folder import open_run
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.rehearsal import Rehearsal
-from idapt_pl.rollout import EXPLORATION, Act, tick
+from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
+from idapt_pl.rl.policy import Policy, tick
 
 
-def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[VectorStateEnv], Act]]:
+def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[VectorStateEnv], Policy]]:
     """By name, given the environment that is acted in."""
     teacher = grounding.fit.source_teacher()
     task = grounding.worlds.task
-    rehearse = lambda env: Rehearsal(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
+    rehearse = lambda env: OpenLoopReplay(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
     by_name = {name: lambda env, make=make: make(env, seed) for name, make in EXPLORATION.items()}
     nothing = lambda env: lambda states: np.zeros_like(env.action_space.low)  # noqa: E731
     return by_name | {"rehearse": rehearse, "closed loop": lambda env: teacher.act, "nothing": nothing}
 
 
-def play(env: VectorStateEnv, act: Act, steps: int, seed: int) -> tuple[list[int], list[float], list[np.ndarray]]:
+def play(env: VectorStateEnv, act: Policy, steps: int, seed: int) -> tuple[list[int], list[float], list[np.ndarray]]:
     """Of whole episodes: lengths, returns, and the spread of the driven joints' positions."""
     driven = [int(env.model.jnt_qposadr[j]) for j in env.model.actuator_trnid[:, 0]]
     obs, _ = env.reset(seed=seed + 1)  # not where the rehearsal starts

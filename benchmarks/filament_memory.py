@@ -22,9 +22,9 @@ import mujoco
 import numpy as np
 from rendering import write_table
 
-from idapt_pl.domains import parallel
-from idapt_pl.domains.filament import FilamentRenderer, why_unavailable
-from idapt_pl.domains.parallel import LIFETIME, ParallelRenderer
+from idapt_pl.rendering import parallel
+from idapt_pl.rendering.filament import FilamentRenderer, why_unavailable
+from idapt_pl.rendering.parallel import FRAMES_PER_PROCESS, ParallelRenderer
 from idapt_pl.tasks import make_task
 
 WARM_UP = 100
@@ -48,7 +48,11 @@ def measure(size: int, frames: int, replaced: bool) -> dict:
             render([data]) if replaced else render(data)
             here.append(resident(os.getpid()))
             there += [resident(p._process.pid) for p in parallel._others] if replaced else []
-    row = {"image_size": size, "frames": frames, "process": f"replaced after {LIFETIME}" if replaced else "this one"}
+    row = {
+        "image_size": size,
+        "frames": frames,
+        "process": f"replaced after {FRAMES_PER_PROCESS}" if replaced else "this one",
+    }
     row |= {"mb_per_frame": round((here[-1] - here[WARM_UP]) / frames, 3)}
     return row | {"mb_here": round(max(here)), "mb_there": round(max(there))}
 
@@ -57,7 +61,7 @@ def main() -> None:
     """Measure."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--sizes", type=int, nargs="+", default=[64, 100])
-    p.add_argument("--frames", type=int, default=2 * LIFETIME)
+    p.add_argument("--frames", type=int, default=2 * FRAMES_PER_PROCESS)
     o = p.parse_args()
     if why := why_unavailable():
         raise SystemExit(why)

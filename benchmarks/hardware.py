@@ -23,9 +23,9 @@ import h5py
 from tables import read_rows, write_rows
 
 from datamodules import read_trajectories
-from idapt_pl.diagnosis import diagnose
+from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.report import write_report
+from idapt_pl.report.diagnosis_files import write_diagnosis
 
 FIELDS = ("rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds")
 
@@ -70,7 +70,7 @@ def run(folder: Path, name: str, report_to: Path | None) -> list[dict]:
     out = diagnose(read_model(model), read_trajectories(data), hold_out=held_out(data, rig.held_out))
     seconds = time.perf_counter() - started
     if report_to is not None:
-        write_report(out, report_to / name, str(model.name), str(data.name))
+        write_diagnosis(out, report_to / name, str(model.name), str(data.name))
     found = [
         f"{e['effect']}({e['target']}) "
         + " ".join(f"{k}={p['estimate']:.4g}" for k, p in e["parameters"].items() if p["ci95"])

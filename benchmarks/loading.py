@@ -22,7 +22,8 @@ from rendering import SIZES, rate, write_table
 
 from datamodules import UnpairedImages, write_trajectories
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.rollout import collect, random_policy
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.exploration import random_policy
 from idapt_pl.tasks import make_task
 
 TASK = "inverted_pendulum"

@@ -24,10 +24,10 @@ import numpy as np
 from tables import read_rows, write_rows
 
 from cli.provenance import git_commit
-from idapt_pl.appearance import Looks, find_looks
-from idapt_pl.appearance.knobs import Camera, knobs
-from idapt_pl.domains import Domain, Effect
-from idapt_pl.domains.looks import Blur, Color, Light
+from idapt_pl.appearance.search import VisualEffects, find_visual_effects
+from idapt_pl.appearance.parameters import CameraParameter, visual_parameters
+from idapt_pl.effects import Domain, Effect
+from idapt_pl.effects.visual import Blur, Color, Light
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import TASKS, Task, make_task
 
@@ -60,9 +60,9 @@ def hidden(task: Task, case: str) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def camera_of(task: Task) -> Camera:
+def camera_of(task: Task) -> CameraParameter:
     """The knob for the source's camera."""
-    return next(k for k in knobs(task.domain("source").spec()) if isinstance(k, Camera))
+    return next(k for k in visual_parameters(task.domain("source").spec()) if isinstance(k, CameraParameter))
 
 
 def bump(task: Task) -> np.ndarray:
@@ -78,12 +78,12 @@ def run(name: str, case: str, seed: int, episodes: int) -> dict:
     with closing(VectorImageEnv(task, target, 1, 64, 1)) as env:
         frames = np.concatenate([env.reset(seed=1000 * (seed + 1) + i)[0]["pixels"][:, 0] for i in range(episodes)])
     started = time.perf_counter()
-    looks = find_looks(task, source, frames, seed)
+    looks = find_visual_effects(task, source, frames, seed)
     row = {"task": name, "case": case, "seed": seed, "episodes": episodes, **score(task, looks, effects, case)}
     return row | {"seconds": round(time.perf_counter() - started, 1), "commit": git_commit()}
 
 
-def score(task: Task, looks: Looks, effects: tuple[Effect, ...], case: str) -> dict:
+def score(task: Task, looks: VisualEffects, effects: tuple[Effect, ...], case: str) -> dict:
     """Which of the hidden effects were found, how many others, and how well the camera's place is known."""
     found = [{(k.name, target) for target in k.target.split()} for k in looks.settings]
     # Two words for where a camera stands.
@@ -94,7 +94,7 @@ def score(task: Task, looks: Looks, effects: tuple[Effect, ...], case: str) -> d
     if case not in ("easy", "hard"):
         row["right"] = int(set().union(*found) == truth)
     if "camera" in case:
-        moved = next((v for k, v in looks.settings.items() if isinstance(k, Camera)), np.zeros(6))
+        moved = next((v for k, v in looks.settings.items() if isinstance(k, CameraParameter)), np.zeros(6))
         row["bump"], row["bump_error"] = (round(shift(task, v), 4) for v in (bump(task), moved - bump(task)))
     return row
 

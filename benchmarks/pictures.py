@@ -15,8 +15,9 @@ import numpy as np
 import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
 from cli.run_folder import load_policy, load_visual, open_run
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.evaluation import deterministic, paired_stacks
-from idapt_pl.pictures import gif, record, side_by_side
+from idapt_pl.evaluation.paired import paired_stacks
+from idapt_pl.evaluation.video import gif, record_video, side_by_side
+from idapt_pl.rl.policy import deterministic
 from idapt_pl.tasks import make_task
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -40,7 +41,7 @@ def transfer(run: Path) -> bytes:
     source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:
-        played = record(env, deterministic(policy), 40, seed=1)
+        played = record_video(env, deterministic(policy), 40, seed=1)
     return gif(side_by_side(source[:, -1], G.translate(frames)[:, -1], target[:, -1], played))
 
 

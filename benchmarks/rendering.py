@@ -26,11 +26,13 @@ from rich.console import Console
 from rich.table import Table
 from tables import replace_rows, write_rows
 
-from idapt_pl.domains.filament import FilamentRenderer
-from idapt_pl.domains.parallel import usual_processes
-from idapt_pl.domains.rendering import FrameRenderer, engine_of, filament_is_used
+from idapt_pl.effects.visual import engine_of
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
-from idapt_pl.rollout import random_policy
+from idapt_pl.rendering.classic import FrameRenderer
+from idapt_pl.rendering.filament import FilamentRenderer
+from idapt_pl.rendering.make import filament_is_used
+from idapt_pl.rendering.parallel import usual_processes
+from idapt_pl.rl.exploration import random_policy
 from idapt_pl.tasks import TASKS, make_task
 
 SIZES = (64, 100)

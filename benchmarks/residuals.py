@@ -2,7 +2,7 @@ r"""Does F bring the source nearer to how the target moves? By images and action
 
     python benchmarks/residuals.py runs/benchmark_walker_quick_IDAPT_0 runs/benchmark_cheetah_quick_no_effects_0
 
-What evaluation.json says of step 1 (:mod:`idapt_pl.residual`), with more rollouts: energy distances without and with F,
+What evaluation.json says of step 1 (:mod:`idapt_pl.rl.transition_distance`), with more rollouts: energy distances without and with F,
 the same draws with both, and their difference. Each rollout is as long as the target's recording. A run's policy before
 step 1, its G and F of step 1 are used; no target is simulated. Writes results/residuals.csv.
 """
@@ -24,7 +24,7 @@ from tables import replace_rows
 
 from cli.provenance import git_commit
 from cli.run_folder import load_policy, load_visual, open_run
-from idapt_pl.residual import distances
+from idapt_pl.rl.transition_distance import transition_distances
 from idapt_pl.stage import load_finished
 
 KEY = ("run", "seed")
@@ -41,7 +41,7 @@ def measure(folder: Path, rollouts: int) -> dict:
     F = load_finished(
         make.dynamics(encoder=copy.deepcopy(policy.actor.encoder), **worlds.action_bounds), step / "dynamics/final.ckpt"
     )
-    without, with_F, floor = distances(worlds, policy, G, F, [step / "target.h5"], 0, rollouts)
+    without, with_F, floor = transition_distances(worlds, policy, G, F, [step / "target.h5"], 0, rollouts)
     found, by = {"noise_floor": floor}, with_F - without
     for name, far in {"without_F": without, "with_F": with_F}.items():
         found |= {

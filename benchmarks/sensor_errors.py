@@ -27,8 +27,8 @@ from tables import replace_rows
 
 from cli.run_folder import load_estimator, load_visual, open_run
 from datamodules.unpaired import read_all
-from idapt_pl.diagnosis.data import difference
-from idapt_pl.sensing import Sensor
+from idapt_pl.diagnosis.data import position_difference
+from idapt_pl.image_diagnosis.sensor import ImageSensor
 
 KEY = ("config", "seed", "recording", "joint")
 FAR = 6.0
@@ -37,12 +37,12 @@ RECORDINGS = (
 )  # fmt: skip
 
 
-def errors(sensor: Sensor, model: mujoco.MjModel, path: Path, G) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def errors(sensor: ImageSensor, model: mujoco.MjModel, path: Path, G) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is read less what is, positions and velocities, (n, nv) each."""
     readings, parts = sensor.read([path], G), []
     for truth, read in zip(read_all([path], also="state"), readings, strict=True):
         qpos, qvel = sensor.task.motion(np.asarray(truth.observations["state"], float), readings.dt)
-        parts.append((difference(model, qpos, read.observations["qpos"]), qpos, qvel))
+        parts.append((position_difference(model, qpos, read.observations["qpos"]), qpos, qvel))
     return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
@@ -71,7 +71,7 @@ def main() -> None:
         folder = Path(f"{o.runs or ROOT / f'runs/sensor_{o.config}'}_{seed}")
         run = open_run(folder)
         task, G = run.worlds.task, load_visual(run)
-        sensor, model = Sensor(load_estimator(run), task, run.worlds.frame_stack), task.domain("source").compile()
+        sensor, model = ImageSensor(load_estimator(run), task, run.worlds.frame_stack), task.domain("source").compile()
         for name in o.recordings:
             found = errors(sensor, model, folder / "hidden" / f"{name}.h5", G if name == "control" else None)
             about = {"config": o.config, "seed": seed, "recording": name}

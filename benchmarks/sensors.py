@@ -29,13 +29,13 @@ from tables import replace_rows
 
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis import diagnose
-from idapt_pl.diagnosis.search import Settings
-from idapt_pl.discovery import CANDIDATES
-from idapt_pl.domains import Domain, looks
-from idapt_pl.domains.effects import Effect
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES
+from idapt_pl.effects import Domain, visual
+from idapt_pl.effects.base import Effect
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.rollout import EXPLORATION
+from idapt_pl.rl.exploration import EXPLORATION
 from idapt_pl.tasks import Task, make_task
 
 SENSORS = {
@@ -50,7 +50,7 @@ def moving_like(task_name: str, target: str) -> tuple[Domain, tuple[Effect, ...]
     """A world that looks like the source, and what it has beside the source's effects."""
     task = make_task(task_name)
     source, other = task.domain("source"), task.domain(target)
-    hidden = tuple(e for e in other.effects[len(source.effects) :] if type(e).__module__ != looks.__name__)
+    hidden = tuple(e for e in other.effects[len(source.effects) :] if type(e).__module__ != visual.__name__)
     return Domain("hidden", source.base, (*source.effects, *hidden)), hidden
 
 
@@ -97,8 +97,8 @@ def run(task_name: str, target: str, sensor: str, seed: int, steps: int) -> dict
     episodes, dt = record(task_name, domain, steps, seed)
     started = time.perf_counter()
     found = diagnose(
-        task.domain("source").spec(), sensed(task, episodes, sensor, dt, seed), candidates=CANDIDATES, seed=seed,
-        settings=Settings(max_effects=2), unmeasured=task.unseen if sensor == "states" else (),
+        task.domain("source").spec(), sensed(task, episodes, sensor, dt, seed), candidates=DEFAULT_CANDIDATES, seed=seed,
+        settings=SearchSettings(max_effects=2), unmeasured=task.unseen if sensor == "states" else (),
     ).report  # fmt: skip
     error = found["error"]
     truth = {(e.name, e.target) for e in hidden}

@@ -26,7 +26,7 @@ from tables import replace_rows
 
 from cli.provenance import git_commit
 from cli.run_folder import open_run
-from idapt_pl.domains import Domain
+from idapt_pl.effects import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.stage import load_finished

@@ -34,9 +34,9 @@ from tables import read_rows, write_rows
 from cli.main import main as idapt
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.domains import View
+from idapt_pl.effects import View
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.rollout import babbling_policy
+from idapt_pl.rl.exploration import babbling_policy
 from idapt_pl.tasks import make_task
 
 OUT = ROOT / "results" / "visual_quality.csv"

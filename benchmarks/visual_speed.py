@@ -50,7 +50,7 @@ from datamodules.images import ImageDomains
 from idapt_pl.losses import GAN_LOSSES
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.image_pool import ImagePool
-from idapt_pl.modules.training import computes_bfloat16
+from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.nets.translation import InstanceNorm, PatchDiscriminator, ResnetGenerator
 
 VARIANTS = {

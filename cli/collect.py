@@ -20,10 +20,13 @@ from cli.provenance import git_commit
 from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
+from gymnasium.vector import VectorEnv
 from idapt_pl.envs import BlindTarget, VectorImageEnv
-from idapt_pl.experts import RECIPES, acting_on_states, expert_folder, train_expert
-from idapt_pl.ledger import Ledger
-from idapt_pl.rollout import Act, VectorEnv, collect, random_policy
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.experts import RECIPES, acting_on_states, expert_folder, train_expert
+from idapt_pl.rl.exploration import random_policy
+from idapt_pl.rl.policy import Policy
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import TASKS, Task, make_task
 
@@ -68,7 +71,7 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def counted(policy: Act, bar: tqdm, env: VectorEnv) -> Act:
+def counted(policy: Policy, bar: tqdm, env: VectorEnv) -> Policy:
     """The policy, moving the bar with every action."""
 
     def act(pixels):

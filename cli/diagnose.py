@@ -30,14 +30,15 @@ from cli.arguments import parser, show_bar
 from cli.diagnose_images import forecast, read_images, report_looks
 from cli.run_folder import open_run
 from datamodules import read_trajectories
-from idapt_pl.diagnosis import Diagnosis, diagnose
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.repaired import repair
-from idapt_pl.diagnosis.report import write_report
-from idapt_pl.diagnosis.state import Settings
-from idapt_pl.diagnosis.words import episodes, error_rows, estimate, meaning, number, unit_at, verdict_in_words
-from idapt_pl.domains import Effect, effect_from_dict
+from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.search import Diagnosis, diagnose
+from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.effects import Effect, effect_from_dict
+from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
+from idapt_pl.report.diagnosis_files import write_diagnosis
+from idapt_pl.report.diagnosis_wording import episode_list, error_rows, verdict_in_words
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -73,7 +74,9 @@ def main(args: list[str]) -> int:
         metavar="EFFECT",
         help="consider these effects alone (default: all; by forecasts, those of idapt fit)",
     )
-    p.add_argument("--max-effects", type=int, default=Settings.max_effects, metavar="N", help="stop after so many")
+    p.add_argument(
+        "--max-effects", type=int, default=SearchSettings.max_effects, metavar="N", help="stop after so many"
+    )
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
@@ -105,11 +108,11 @@ def main(args: list[str]) -> int:
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(Settings(), max_effects=o.max_effects), progress, o.threads, **how,
+                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads, **how,
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None
-    write_report(diagnosis, o.out, (o.model or o.run).name, o.data.name)
+    write_diagnosis(diagnosis, o.out, (o.model or o.run).name, o.data.name)
     print_diagnosis(diagnosis, o.out)
     return 0
 
@@ -168,14 +171,16 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     """The verdict, the errors, the effects, and where the rest is."""
     report, model, console = diagnosis.report, diagnosis.sim.model, Console()
-    errors = Table(title=f"error on held-out {episodes(report['error']['held_out_episodes'])} (1 = measurement noise)")
+    errors = Table(
+        title=f"error on held-out {episode_list(report['error']['held_out_episodes'])} (1 = measurement noise)"
+    )
     for title, how in (("", "left"), ("error", "right"), ("", "left")):
         errors.add_column(title, justify=how)
     for name, value, what in error_rows(report):
-        errors.add_row(name, number(value), what)
+        errors.add_row(name, format_number(value), what)
     print_report(report, verdict_in_words(report, model), model, out, errors)
-    if unsaid := repair(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
-        names = ", ".join(meaning(e.name, e.target) for e in unsaid)
+    if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
+        names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
         console.print(f"not in patched.xml, as MJCF has no words for it: {escape(names)}", soft_wrap=True)
 
 
@@ -208,9 +213,9 @@ def effects_table(report: dict, model: mujoco.MjModel) -> Table:
         table.add_column(title, justify=how, overflow="fold")
     for e in report["effects"]:
         for name, p in e["parameters"].items():
-            value, interval = estimate(p["estimate"], p["ci95"])
-            nominal = p["nominal"] if isinstance(p["nominal"], str) else number(p["nominal"])
-            cells = (meaning(e["effect"], e["target"]), name, value, interval or "-",
+            value, interval = format_estimate(p["estimate"], p["ci95"])
+            nominal = p["nominal"] if isinstance(p["nominal"], str) else format_number(p["nominal"])
+            cells = (phrase_at(e["effect"], e["target"]), name, value, interval or "-",
                      unit_at(model, e["target"], p["unit"]), nominal)  # fmt: skip
             table.add_row(*map(escape, cells))
     return table

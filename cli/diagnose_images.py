@@ -18,17 +18,18 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import show_bar
 from cli.run_folder import load_estimator, load_visual
-from idapt_pl.appearance import discover_looks
-from idapt_pl.diagnosis.words import number
-from idapt_pl.discovery import CANDIDATES, Discovery
-from idapt_pl.discovery.discover import by_forecasts
-from idapt_pl.domains import Domain, Effect
+from idapt_pl.appearance.discovery import discover_visual_effects
+from idapt_pl.effects import Domain, Effect
+from idapt_pl.effects.wording import format_number
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.files import write_atomically
 from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.image_diagnosis.calibration import Readings, read_calibrated
+from idapt_pl.image_diagnosis.discover import diagnose_by_forecasts
+from idapt_pl.image_diagnosis.sensor import ImageSensor
+from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.report.diagnosed import verdict_in_words, write_diagnosed
-from idapt_pl.sensing import Readings, Sensor, read_calibrated
+from idapt_pl.report.forecast_page import forecast_verdict, write_forecast_diagnosis
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Images:
         readings: of both.
     """
 
-    sensor: Sensor
+    sensor: ImageSensor
     G: VisualTransformation
     control: Path
     readings: Readings
@@ -60,7 +61,7 @@ class Images:
 def read_images(grounding: IterativeGrounding, data: Path) -> Images:
     """Read recordings with the estimator of a run."""
     worlds, run = grounding.worlds, grounding.stages.run_dir
-    sensor, G = Sensor(load_estimator(grounding), worlds.task, worlds.frame_stack), load_visual(grounding)
+    sensor, G = ImageSensor(load_estimator(grounding), worlds.task, worlds.frame_stack), load_visual(grounding)
     control = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
     return Images(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))
 
@@ -88,7 +89,7 @@ def forecast(
             "first episodes, and by none that is held out: leave --fit and --hold-out away"
         )
     worlds, started = grounding.worlds, time.perf_counter()
-    options = Discovery(True, tuple(o.candidates or CANDIDATES), o.max_effects)
+    options = DiscoverySettings(True, tuple(o.candidates or DEFAULT_CANDIDATES), o.max_effects)
     source = worlds.source_domain.with_effects(*declared)
     layout = "{desc}: {n} hypotheses played and rendered {elapsed}"
     with tqdm(desc="forecasts", bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
@@ -97,15 +98,15 @@ def forecast(
             bar.update()
             return worlds.seen(domain, num_envs)
 
-        sought = by_forecasts(
+        sought = diagnose_by_forecasts(
             source, images.sensor, images.G, [o.data], [images.control], options, o.seed, seen,
             images.readings,
         )  # fmt: skip
     names = (o.run.name, o.data.name)
-    report = write_diagnosed(
+    report = write_forecast_diagnosis(
         sought, worlds.source_domain, declared, o.out, names, time.perf_counter() - started
     )  # fmt: skip
-    return report, verdict_in_words(report, source.compile())
+    return report, forecast_verdict(report, source.compile())
 
 
 def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int) -> None:
@@ -114,12 +115,12 @@ def report_looks(grounding: IterativeGrounding, data: Path, out: Path, seed: int
     Every episode must begin as the task's do.
     """
     worlds, console = grounding.worlds, Console()
-    found = discover_looks(worlds.task, worlds.source_domain, data, seed, worlds.view)
+    found = discover_visual_effects(worlds.task, worlds.source_domain, data, seed, worlds.view)
     out.mkdir(parents=True, exist_ok=True)
     write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(found["effects"])))
     write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found["picture"])))
     names = ", ".join(f"{e['effect']} of {e['target']}" for e in found["estimates"]) or "none was found"
-    before, after, floor = (number(found[k]) for k in ("before", "after", "floor"))
+    before, after, floor = (format_number(found[k]) for k in ("before", "after", "floor"))
     for sentence in (
         f"visual effects that the source lacks: {names}.",
         f"The recording's first frames are {before} levels of 255 from the source's, {after} with these effects; noise "

@@ -22,7 +22,7 @@ from rich.table import Table
 from torchvision.extension import _has_ops as torchvision_has_ops
 
 from cli.arguments import parser
-from idapt_pl.modules.training import computes_bfloat16
+from idapt_pl.modules.manual import computes_bfloat16
 
 BACKENDS = ("egl", "osmesa")
 FREE_GB = 5
@@ -141,7 +141,7 @@ def check_rendering(backend: str) -> Check:
 
 def check_filament() -> Check:
     """Whether the hard manipulation domains can be drawn by Filament."""
-    from idapt_pl.domains import filament
+    from idapt_pl.rendering import filament
 
     why, name = filament.why_unavailable(), "rendering by Filament (fetch_reach and sawyer_push, hard)"
     if why is None:

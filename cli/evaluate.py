@@ -8,10 +8,10 @@ from pathlib import Path
 
 from cli.arguments import parser
 from cli.run_folder import load_policy, open_run
-from idapt_pl.evaluation import deterministic
 from idapt_pl.files import write_json
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.rollout import Returns, evaluate
+from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.returns import Returns, evaluate
 
 
 def main(args: list[str]) -> int:

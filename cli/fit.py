@@ -16,20 +16,21 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from cli.provenance import claim, write_provenance
 from cli.table import print_summary
 from cli.trainers import stage_settings
-from idapt_pl.discovery import Discovery
-from idapt_pl.domains import View
-from idapt_pl.domains.parallel import usual_processes
-from idapt_pl.evaluation import Evaluation
-from idapt_pl.fitting import Factories, Feeding, Fitting
+from idapt_pl.baselines.oracle import train_oracle
+from idapt_pl.effects import View
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.grounding import IterativeGrounding, Schedule
-from idapt_pl.ledger import Ledger
+from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import Vision
-from idapt_pl.references import train_oracle
-from idapt_pl.report import write_report
+from idapt_pl.rendering.parallel import usual_processes
+from idapt_pl.report.run_page import write_run_report
 from idapt_pl.stage import Stages
+from idapt_pl.stages.distillation import TeacherSettings
+from idapt_pl.stages.fitting import Fitting
+from idapt_pl.stages.settings import BatchSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
-from idapt_pl.teaching import Teacher
 from idapt_pl.worlds import Worlds
 
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
@@ -87,9 +88,9 @@ class GroundingCLI(LightningCLI):
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
         parser.add_class_arguments(Schedule, "schedule")
-        parser.add_class_arguments(Discovery, "effects")
-        parser.add_class_arguments(Feeding, "feeding")
-        parser.add_class_arguments(Teacher, "teacher")
+        parser.add_class_arguments(DiscoverySettings, "effects")
+        parser.add_class_arguments(BatchSettings, "feeding")
+        parser.add_class_arguments(TeacherSettings, "teacher")
         parser.add_class_arguments(Vision, "vision")
         for name, module in MODULES.items():
             parser.add_class_arguments(
@@ -132,7 +133,7 @@ def build(cli: GroundingCLI) -> tuple[IterativeGrounding, Path]:
     factories = {name: functools.partial(module, **config[name].as_dict()) for name, module in MODULES.items()}
     for name in ("state_predictor", "visual", "policy"):
         factories[name] = functools.partial(factories[name], vision=config.vision)
-    fitting = Fitting(worlds, stages, Factories(**factories), config.feeding, config.teacher)
+    fitting = Fitting(worlds, stages, ModuleFactories(**factories), config.feeding, config.teacher)
     evaluation = Evaluation(worlds, stages, config.episodes, config.target)
     return IterativeGrounding(fitting, evaluation, config.schedule, config.effects), run_dir
 
@@ -160,5 +161,5 @@ def main(args: list[str]) -> int:
         if cli.config.oracle:
             train_oracle(grounding)
             summary = grounding.evaluation.summary(grounding.schedule.grounding_steps)
-        print_summary(summary, run_dir, write_report(grounding))
+        print_summary(summary, run_dir, write_run_report(grounding))
     return 0

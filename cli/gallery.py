@@ -10,7 +10,7 @@ from pathlib import Path
 from cli.arguments import parser
 from cli.run_folder import load_visual, open_run
 from idapt_pl.files import write_atomically
-from idapt_pl.gallery import Learned, page
+from idapt_pl.report.gallery import LearnedLook, gallery_page
 from idapt_pl.tasks import TASKS, make_task
 
 
@@ -26,15 +26,15 @@ def main(args: list[str]) -> int:
     told = [(g.task, g.target) for g in learned]
     if len(set(told)) < len(told):
         raise ValueError(f"--run: two runs have the same task and target ({told}); give one of each")
-    text = page(map(make_task, o.task), o.image_size, learned=learned)
+    text = gallery_page(map(make_task, o.task), o.image_size, learned=learned)
     path = o.out / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(text))
     print(path)
     return 0
 
 
-def what_it_learned(run: Path) -> Learned:
+def what_it_learned(run: Path) -> LearnedLook:
     """G of a run's last grounding step."""
     grounding = open_run(run)
     worlds, G = grounding.worlds, load_visual(grounding)
-    return Learned(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)
+    return LearnedLook(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)

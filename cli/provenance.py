@@ -16,9 +16,9 @@ import yaml
 from filelock import FileLock, Timeout
 from jsonargparse import ArgumentParser, Namespace
 
-from idapt_pl.domains.rendering import filament_is_used
 from idapt_pl.files import write_atomically, write_json
-from idapt_pl.modules.training import computes_bfloat16
+from idapt_pl.modules.manual import computes_bfloat16
+from idapt_pl.rendering.make import filament_is_used
 
 CHANGE_NOTHING = {
     "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers", "render_processes",

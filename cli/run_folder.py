@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from cli.fit import GroundingCLI, build
-from idapt_pl.domains import effect_from_dict
+from idapt_pl.effects import effect_from_dict
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor

@@ -21,9 +21,9 @@ from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
 from datamodules.images import ImageDomains
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.modules.training import computes_bfloat16
+from idapt_pl.modules.fit_predictor import fit_state_predictor
+from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.nets.encoder import Vision
-from idapt_pl.probes import fit_state_predictor
 
 log = logging.getLogger(__name__)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli.arguments import parser
-from idapt_pl.export import Translator, deviation, export
 from idapt_pl.modules import VisualTransformation
+from idapt_pl.modules.export import Translator, export_translator, largest_deviation
 
 TOLERANCE = 2
 """Grey levels by which a file may differ from the module; more is an error."""
@@ -21,8 +21,8 @@ def main(args: list[str]) -> int:
     p.add_argument("--back", action="store_true", help="export the way back, from the target's look to the source's")
     o = p.parse_args(args)
     translator = Translator(VisualTransformation.from_checkpoint(o.ckpt_path or o.run_dir / "last.ckpt"), o.back)
-    export(translator, o.out)
-    if (difference := deviation(translator, o.out)) > TOLERANCE:
+    export_translator(translator, o.out)
+    if (difference := largest_deviation(translator, o.out)) > TOLERANCE:
         o.out.unlink()
         raise RuntimeError(f"{o.out} would differ from the module by {difference} grey levels; it was not kept")
     print(f"{o.out}: uint8 (n, {translator.frames}, H, W, 3) to the same; differs by at most {difference} of 255")

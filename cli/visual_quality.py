@@ -13,13 +13,7 @@ from torch import Tensor
 from torchvision.utils import make_grid
 
 from datamodules.images import Reading, TrajectoryImages
-from idapt_pl.files import write_atomically, write_json
-from idapt_pl.modules import VisualTransformation
-from idapt_pl.nets.encoder import Vision
-from idapt_pl.nets.images import to_float
-from idapt_pl.pictures import gif, gif_summary, side_by_side
-from idapt_pl.probes import fit_state_predictor
-from idapt_pl.quality import (
+from idapt_pl.evaluation.image_quality import (
     Backbone,
     PairedScores,
     StateError,
@@ -27,6 +21,12 @@ from idapt_pl.quality import (
     kernel_distance,
     newest,
 )
+from idapt_pl.evaluation.video import gif, gif_summary, side_by_side
+from idapt_pl.files import write_atomically, write_json
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.modules.fit_predictor import fit_state_predictor
+from idapt_pl.nets.encoder import Vision
+from idapt_pl.nets.images import to_float
 
 
 class TranslationQuality(L.Callback):

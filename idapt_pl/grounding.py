@@ -8,15 +8,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from idapt_pl.appearance import discover_looks
-from idapt_pl.discovery import Discovery, discover
-from idapt_pl.domains import effect_from_dict
-from idapt_pl.evaluation import Evaluation
+from idapt_pl.appearance.discovery import discover_visual_effects
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import write_yaml
-from idapt_pl.fitting import Fitting
-from idapt_pl.rollout import EXPLORATION, Act, collect
-from idapt_pl.selection import compare, in_words
-from idapt_pl.sensing import Sensor
+from idapt_pl.image_diagnosis import discover_effects
+from idapt_pl.image_diagnosis.sensor import ImageSensor
+from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.exploration import EXPLORATION
+from idapt_pl.rl.policy import Policy
+from idapt_pl.stages.fitting import Fitting
+from idapt_pl.stages.rollback import compare_transformations, rollback_sentence
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +80,7 @@ class Schedule:
     rollback: bool = False
 
 
-NOTHING = Discovery(discover=False)
+NOTHING = DiscoverySettings(discover=False)
 
 
 class IterativeGrounding:
@@ -87,7 +90,9 @@ class IterativeGrounding:
     at the end of a grounding step, not at its beginning.
     """
 
-    def __init__(self, fit: Fitting, evaluation: Evaluation, schedule: Schedule, effects: Discovery = NOTHING) -> None:
+    def __init__(
+        self, fit: Fitting, evaluation: Evaluation, schedule: Schedule, effects: DiscoverySettings = NOTHING
+    ) -> None:
         self.fit, self.evaluation, self.schedule, self.effects = fit, evaluation, schedule, effects
         self.worlds, self.stages = fit.worlds, fit.stages
         if schedule.exploration == "rehearse" and not fit.teacher.steps:
@@ -158,7 +163,7 @@ class IterativeGrounding:
             return
 
         def make(seed: int) -> dict:
-            return discover_looks(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
+            return discover_visual_effects(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
 
         self._repair(0, self.stages.measure(0, "looks", make)["effects"])
 
@@ -171,10 +176,10 @@ class IterativeGrounding:
             return False
         worlds, target = self.worlds, D_T if k == 0 else [D_T[0], D_T[-1]]
         control = self._record_source(k, self.explore, None, None, self.schedule.images, "control")
-        sensor = Sensor(pi.estimator(G), worlds.task, worlds.frame_stack)
+        sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
-            return discover(worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen)
+            return discover_effects(worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen)
 
         found = self.stages.measure(k, "effects", make)["effects"]
         self._repair(k, found)
@@ -184,11 +189,13 @@ class IterativeGrounding:
         """Whether the target's images and actions that were held out of F say that it is clearly worse than before."""
         if not self.schedule.rollback:
             return False
-        decision = self.stages.measure(k, "selection", lambda seed: compare(self.worlds, pi, G, F, F_before, D_T, seed))
-        log.info("step %d  %s", k, in_words(decision))
+        decision = self.stages.measure(
+            k, "selection", lambda seed: compare_transformations(self.worlds, pi, G, F, F_before, D_T, seed)
+        )
+        log.info("step %d  %s", k, rollback_sentence(decision))
         return decision["rolled_back"]
 
-    def explore(self, seed: int, num_envs: int = 1) -> Act:
+    def explore(self, seed: int, num_envs: int = 1) -> Policy:
         """The policy that collects D^S and D^T before there is one for the target."""
         if self.schedule.exploration == "rehearse":
             return self.fit.rehearsal(seed, num_envs)

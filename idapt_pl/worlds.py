@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from idapt_pl.domains import WHOLE, Domain, Effect, View
+from idapt_pl.effects import WHOLE, Domain, Effect, View
 from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv, VectorStateEnv
-from idapt_pl.ledger import Ledger
+from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
 from idapt_pl.tasks import Task
 

@@ -18,8 +18,8 @@ import torch
 
 from cli.main import main
 from datamodules import Episode, Trajectories
-from idapt_pl.domains import Domain
-from idapt_pl.domains.looks import CAMERA, CameraPose
+from idapt_pl.effects import Domain
+from idapt_pl.effects.visual import CAMERA, CameraPose
 from idapt_pl.tasks import Task
 
 ROOT = Path(idapt_pl.__file__).parent.parent

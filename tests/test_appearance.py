@@ -8,23 +8,31 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.appearance import discover_looks, find_looks
+from idapt_pl.appearance.discovery import discover_visual_effects
+from idapt_pl.appearance.first_frames import FirstFrames
 from idapt_pl.appearance.fit import finite_differences
-from idapt_pl.appearance.knobs import Camera, Lamp, Paint, Sky, Softness, knobs
-from idapt_pl.appearance.pictures import FirstFrames
-from idapt_pl.domains import Domain, effect_from_dict
-from idapt_pl.domains.looks import Blur, Color, Light, Renderer
-from idapt_pl.domains.rendering import make_renderer
+from idapt_pl.appearance.parameters import (
+    BlurParameter,
+    CameraParameter,
+    ColorParameter,
+    LampParameter,
+    SkyParameter,
+    visual_parameters,
+)
+from idapt_pl.appearance.search import find_visual_effects
+from idapt_pl.effects import Domain, effect_from_dict
+from idapt_pl.effects.visual import Blur, Color, Light, Renderer
 from idapt_pl.envs import VectorImageEnv
+from idapt_pl.rendering.make import make_renderer
 from idapt_pl.tasks import make_task
 
 PENDULUM = make_task("inverted_pendulum")
 TURNED = {
-    Camera: [0.05, -0.04, 0.1, 0.03, -0.02, 0.05],
-    Lamp: [0.3, 0.5, 0.2, 0.4, 0.3, 0.1],
-    Paint: [0.9, 0.2, 0.1],
-    Sky: [0.2, 0.5, 0.7, 0.1, 0.05, 0.3],
-    Softness: [4.0],
+    CameraParameter: [0.05, -0.04, 0.1, 0.03, -0.02, 0.05],
+    LampParameter: [0.3, 0.5, 0.2, 0.4, 0.3, 0.1],
+    ColorParameter: [0.9, 0.2, 0.1],
+    SkyParameter: [0.2, 0.5, 0.7, 0.1, 0.05, 0.3],
+    BlurParameter: [4.0],
 }
 
 
@@ -41,11 +49,11 @@ def begins(task, effects, size=40, episodes=12):
 def test_a_knob_shows_what_its_effects_show(name, kind):
     task = make_task(name)
     source = task.domain("source")
-    knob, values = next(k for k in knobs(source.spec()) if isinstance(k, kind)), np.array(TURNED[kind])
+    knob, values = next(k for k in visual_parameters(source.spec()) if isinstance(k, kind)), np.array(TURNED[kind])
     repaired = source.with_effects(*knob.effects(source.spec(), values))
     with FirstFrames(task, source, 64, 3, seed=0) as frames, FirstFrames(task, repaired, 64, 3, seed=0) as others:
         nominal, turned, said = frames.mean({}), frames.mean({knob: values}), others.mean({})
-    if kind is Softness:  # the effect is on what the environments render, which FirstFrames leaves to its knob
+    if kind is BlurParameter:  # the effect is on what the environments render, which FirstFrames leaves to its knob
         data = mujoco.MjData(model := repaired.compile())
         task.reset(model, data, np.random.default_rng(0))
         mujoco.mj_forward(model, data)
@@ -58,7 +66,7 @@ def test_a_knob_shows_what_its_effects_show(name, kind):
 
 def test_turning_knobs_back_shows_the_nominal_picture_again():
     source = make_task("half_cheetah").domain("source")
-    settings = {k: np.array(TURNED[type(k)]) for k in knobs(source.spec())}
+    settings = {k: np.array(TURNED[type(k)]) for k in visual_parameters(source.spec())}
     with FirstFrames(make_task("half_cheetah"), source, 32, 2, seed=0) as frames:
         before, turned, after = frames({}), frames(settings), frames({})
     assert (before == after).all()
@@ -73,7 +81,7 @@ def test_blurred_images_are_those_of_the_renderer_under_a_gaussian():
 
 def test_a_source_that_is_blurred_already_is_shown_blurred():
     soft = PENDULUM.domain("source").with_effects(Blur("world", 0.02))
-    knob = next(k for k in knobs(soft.spec()) if isinstance(k, Softness))
+    knob = next(k for k in visual_parameters(soft.spec()) if isinstance(k, BlurParameter))
     assert knob.nominal == pytest.approx([4.0])
     with FirstFrames(PENDULUM, soft, 32, 2, seed=0) as frames:
         assert frames.mean({}) == pytest.approx(frames.mean({knob: knob.nominal}))
@@ -81,7 +89,7 @@ def test_a_source_that_is_blurred_already_is_shown_blurred():
 
 
 def test_nothing_is_found_where_nothing_is_planted():
-    looks = find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
+    looks = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
     assert not looks.settings
     assert looks.before < 2 * looks.floor
 
@@ -99,7 +107,7 @@ def test_nothing_is_found_where_nothing_is_planted():
     ],
 )
 def test_a_planted_visual_effect_is_found_alone(effect, key, truth):
-    looks = find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (effect,)), seed=1, draws=4)
+    looks = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (effect,)), seed=1, draws=4)
     assert [k.key for k in looks.settings] == [key]
     (found,) = looks.settings.values()
     assert found == pytest.approx(truth, rel=0.15, abs=0.05)
@@ -108,9 +116,11 @@ def test_a_planted_visual_effect_is_found_alone(effect, key, truth):
 
 def test_a_camera_that_was_bumped_is_found():
     source = PENDULUM.domain("source")
-    camera = next(k for k in knobs(source.spec()) if isinstance(k, Camera))
+    camera = next(k for k in visual_parameters(source.spec()) if isinstance(k, CameraParameter))
     bump = np.array([0.04, -0.03, 0.06, 0.02, -0.015, 0.03])
-    looks = find_looks(PENDULUM, source, begins(PENDULUM, camera.effects(source.spec(), bump), 48), seed=1, draws=6)
+    looks = find_visual_effects(
+        PENDULUM, source, begins(PENDULUM, camera.effects(source.spec(), bump), 48), seed=1, draws=6
+    )
     assert [k.key for k in looks.settings] == [camera.key]
     (moved,) = looks.settings.values()
     # Small shifts and turns look alike; what the picture shows is where things are in it, and how it is turned.
@@ -124,7 +134,7 @@ def test_what_is_found_in_a_file_can_be_added_to_the_source(tmp_path):
     episodes = tuple(Episode(np.zeros((1, 1), np.float32), {"pixels": np.stack([f, f])}) for f in frames)
     write_trajectories(tmp_path / "d.h5", Trajectories(episodes, 0.04, "test"))
     source = PENDULUM.domain("source")
-    found = discover_looks(PENDULUM, source, tmp_path / "d.h5", seed=0)
+    found = discover_visual_effects(PENDULUM, source, tmp_path / "d.h5", seed=0)
     repaired = source.with_effects(*map(effect_from_dict, found["effects"]))
     assert repaired.compile().geom("cart").rgba[:3] == pytest.approx([0.2, 0.3, 0.8], abs=0.05)
     assert found["after"] < 0.2 * found["before"]
@@ -133,19 +143,19 @@ def test_what_is_found_in_a_file_can_be_added_to_the_source(tmp_path):
 
 def test_too_few_episodes_are_refused():
     with pytest.raises(ValueError, match="at least 4 episodes, got 3"):
-        find_looks(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (), episodes=3), seed=0)
+        find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (), episodes=3), seed=0)
 
 
 def test_a_file_without_images_is_refused(tmp_path):
     episode = Episode(np.zeros((1, 1), np.float32), {"qpos": np.zeros((2, 2))})
     write_trajectories(tmp_path / "d.h5", Trajectories((episode,), 0.04, "test"))
     with pytest.raises(ValueError, match=r"d.h5: there is no episode_0/observations/pixels"):
-        discover_looks(PENDULUM, PENDULUM.domain("source"), tmp_path / "d.h5", seed=0)
+        discover_visual_effects(PENDULUM, PENDULUM.domain("source"), tmp_path / "d.h5", seed=0)
 
 
 def test_frames_that_are_not_square_are_refused():
     with pytest.raises(ValueError, match=r"square images .* got shape \(4, 8, 6, 3\)"):
-        find_looks(PENDULUM, PENDULUM.domain("source"), np.zeros((4, 8, 6, 3), np.uint8), seed=0)
+        find_visual_effects(PENDULUM, PENDULUM.domain("source"), np.zeros((4, 8, 6, 3), np.uint8), seed=0)
 
 
 def test_a_source_of_another_engine_is_refused():

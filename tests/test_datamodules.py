@@ -16,7 +16,7 @@ from datamodules import (
 from datamodules.on_policy import encode_transitions, target_transitions
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
-from idapt_pl.modules.training import ManualModule
+from idapt_pl.modules.manual import ManualModule
 
 LENGTHS = [1, 4, 2, 7]
 

@@ -13,12 +13,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.diagnosis import diagnose
 from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.repaired import repair
-from idapt_pl.diagnosis.report import write_report
-from idapt_pl.diagnosis.words import episodes, estimate, meaning, number, unit_at, verdict_in_words
-from idapt_pl.domains import effect_from_dict
+from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
+from idapt_pl.report.diagnosis_files import write_diagnosis
+from idapt_pl.report.diagnosis_wording import episode_list, verdict_in_words
 
 NOMINAL, HIDDEN = 0.01, 0.06
 
@@ -137,7 +138,7 @@ def test_page_fetches_nothing_even_for_hostile_names(damped, workspace, tmp_path
     data = record(HIDDEN)
     found = diagnose(read_model(workspace / "nominal.xml"), data, candidates=["joint_damping"])
     for _ in range(2):
-        write_report(found, tmp_path, "<script src=x>.xml", "a&b.h5")
+        write_diagnosis(found, tmp_path, "<script src=x>.xml", "a&b.h5")
     assert len(list(tmp_path.glob("events.out.tfevents.*"))) == 1, "events of an earlier run are removed"
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in html and "a&amp;b.h5" in html
@@ -230,7 +231,7 @@ def test_repaired_model_finds_its_meshes_from_another_folder(folder, blocks, tmp
     spec, out = read_model(blocks.relative_to(tmp_path)), Path(folder)
     heavier = effect_from_dict({"effect": "body_mass", "target": "block", "parameters": {"mass": 3.0}})
     out.mkdir(parents=True, exist_ok=True)
-    (out / "patched.xml").write_text(repair(spec, (heavier,), out).patched)
+    (out / "patched.xml").write_text(repair_model(spec, (heavier,), out).patched)
     loaded = mujoco.MjModel.from_xml_path(str(out / "patched.xml"))
     heavier.apply(spec)
     wanted = spec.compile()
@@ -248,7 +249,7 @@ def test_what_mjcf_cannot_say_is_named_and_changes_nothing(blocks, tmp_path):
             {"effect": "sensor_bias", "target": "x", "parameters": {"bias": 0.1}},
         )
     )
-    repaired = repair(spec, effects, tmp_path)
+    repaired = repair_model(spec, effects, tmp_path)
     assert [e.name for e in repaired.unsaid] == ["joint_cogging", "sensor_bias"]
     added = [line for line in repaired.difference() if line.startswith("+ ")]
     assert len(added) == 1 and 'damping="0.5"' in added[0]
@@ -275,19 +276,19 @@ def test_elements_without_a_name_get_one(blocks):
     ],
 )
 def test_digits_follow_the_interval(value, interval, shown):
-    assert estimate(value, interval) == shown
+    assert format_estimate(value, interval) == shown
 
 
 def test_numbers_have_sensible_digits():
-    assert [number(v) for v in (0.0, 1.0249, 23.68, 1234.5, 0.000754, float("nan"))] == [
+    assert [format_number(v) for v in (0.0, 1.0249, 23.68, 1234.5, 0.000754, float("nan"))] == [
         "0", "1.02", "23.7", "1234", "0.000754", "-",
     ]  # fmt: skip
 
 
 def test_effects_and_units_are_those_of_their_target(blocks):
-    assert meaning("joint_frictionloss", "slider") == "dry friction on joint slider"
-    assert meaning("body_mass", "*") == "mass of all bodies"
-    assert meaning("gravity_direction", "world") == "direction of gravity"
+    assert phrase_at("joint_frictionloss", "slider") == "dry friction on joint slider"
+    assert phrase_at("body_mass", "*") == "mass of all bodies"
+    assert phrase_at("gravity_direction", "world") == "direction of gravity"
     swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
     assert unit_at(swing, "shoulder", "N·m or N") == "N·m"
     assert unit_at(read_model(blocks).compile(), "x", "N·m or N") == "N"
@@ -461,5 +462,5 @@ def test_help_teaches(capsys):
 
 
 def test_episodes_are_listed_where_they_are_few():
-    assert episodes([3]) == "episode 3" and episodes([0, 2]) == "episodes 0, 2"
-    assert episodes(range(145)) == "145 episodes"
+    assert episode_list([3]) == "episode 3" and episode_list([0, 2]) == "episodes 0, 2"
+    assert episode_list(range(145)) == "145 episodes"

@@ -7,23 +7,22 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis import diagnose
-from idapt_pl.diagnosis.data import UnusableData, cut, recordings
-from idapt_pl.diagnosis.search import split_episodes
-from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.state import Settings
-from idapt_pl.diagnosis.statistics import (
+from idapt_pl.diagnosis.data import UnusableData, as_recordings, sample_windows
+from idapt_pl.diagnosis.noise import (
     Noise,
     estimate_noise,
     initial_sensitivity,
-    likened,
     rounding_noise,
+    shrink_to_kind,
     whiten,
     whitener,
 )
-from idapt_pl.diagnosis.verdict import alike
-from idapt_pl.domains.effects import JointDamping
-from idapt_pl.domains.paths import ActuatorDelay, SensorGain
+from idapt_pl.diagnosis.search import diagnose, split_episodes
+from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.verdict import correlation
+from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.signals import ActuatorDelay, SensorGain
 
 ARM = """
 <mujoco>
@@ -176,9 +175,9 @@ def test_the_same_data_and_seed_give_the_same_report():
 def right():
     """A simulator with the right model, its windows, residuals and sensitivities."""
     spec, trajectories = mujoco.MjSpec.from_string(ARM), record(episodes=12)
-    data, velocities = recordings(spec.copy().compile(), trajectories)
+    data, velocities = as_recordings(spec.copy().compile(), trajectories)
     sim = Simulator(spec, data, velocities)
-    windows = cut(data, np.arange(12), 5, 5, 1000, 0)
+    windows = sample_windows(data, np.arange(12), 5, 5, 1000, 0)
     residual = sim.residual((), windows)
     size = np.repeat([NOISE_Q, NOISE_V], 2)
     return sim, windows, residual, initial_sensitivity(sim, (), windows, size)
@@ -186,7 +185,7 @@ def right():
 
 def test_noise_is_estimated(right):
     sim, *_ = right
-    noise = estimate_noise(sim, (), cut(sim.data, np.arange(12), 2, 2, 200, 0))
+    noise = estimate_noise(sim, (), sample_windows(sim.data, np.arange(12), 2, 2, 200, 0))
     np.testing.assert_allclose(noise.sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
 
 
@@ -199,7 +198,7 @@ def test_a_sensor_that_counts_has_the_noise_of_rounding_even_at_rest():
 
 def test_no_sensor_is_taken_to_be_much_better_than_others_of_its_kind():
     model = mujoco.MjModel.from_xml_string(ARM)
-    sigma = likened(model, np.array([1e-3, 1e-9, 1e-2, 2e-2]))
+    sigma = shrink_to_kind(model, np.array([1e-3, 1e-9, 1e-2, 2e-2]))
     assert sigma == pytest.approx([1e-3, 2.5e-4, 1e-2, 2e-2]), "half the median of the kind"
 
 
@@ -226,12 +225,12 @@ def test_intervals_allow_for_a_sensor_whose_gain_is_not_known():
 def test_noise_is_not_mistaken_for_a_missing_effect():
     """What the model gets wrong lasts longer than a control step, and does not count as noise."""
     spec = mujoco.MjSpec.from_string(ARM)
-    data, velocities = recordings(
+    data, velocities = as_recordings(
         spec.copy().compile(), record(ARM.replace('joint="shoulder"', 'joint="shoulder" gear="0.7"'))
     )
     sim = Simulator(spec, data, velocities)
-    noise = estimate_noise(sim, (), cut(data, np.arange(6), 2, 2, 200, 0))
-    step = sim.residual((), cut(data, np.arange(6), 1, 1, 200, 0))[:, 0]
+    noise = estimate_noise(sim, (), sample_windows(data, np.arange(6), 2, 2, 200, 0))
+    step = sim.residual((), sample_windows(data, np.arange(6), 1, 1, 200, 0))[:, 0]
     np.testing.assert_allclose(noise.sensors[:2], NOISE_Q, rtol=0.3)
     assert (noise.sensors[2:] < 0.5 * step.std(0)[2:]).all()
 
@@ -258,9 +257,9 @@ def test_without_noise_the_right_model_predicts_the_recording():
     """Controls are held as they were: a prediction from exact states is exact."""
     trajectories = record(episodes=2, noise=(0.0, 0.0))
     spec = mujoco.MjSpec.from_string(ARM)
-    data, velocities = recordings(spec.copy().compile(), trajectories)
+    data, velocities = as_recordings(spec.copy().compile(), trajectories)
     sim = Simulator(spec, data, velocities)
-    windows = cut(data, np.arange(2), 5, 5, 1000, 0)
+    windows = sample_windows(data, np.arange(2), 5, 5, 1000, 0)
     assert np.abs(sim.residual((), windows)).max() < 1e-5  # actions are float32
     late = sim.residual((ActuatorDelay("*", 0.01),), windows)
     assert np.abs(late).max() > 1e-3
@@ -318,8 +317,8 @@ def test_velocities_that_come_late_are_not_used():
         for e in prompt.episodes
     ]
     model = mujoco.MjModel.from_xml_string(ARM)
-    assert recordings(model, prompt)[1], "prompt velocities are used"
-    assert not recordings(model, Trajectories(tuple(late), DT))[1]
+    assert as_recordings(model, prompt)[1], "prompt velocities are used"
+    assert not as_recordings(model, Trajectories(tuple(late), DT))[1]
 
 
 BOX = """
@@ -393,7 +392,7 @@ def test_numerics_are_reported_as_what_differs():
 
     def found(**settings):
         spec = mujoco.MjSpec.from_string(coarse)
-        report = diagnose(spec, data, candidates=["body_mass"], settings=Settings(**settings)).report
+        report = diagnose(spec, data, candidates=["body_mass"], settings=SearchSettings(**settings)).report
         return [e for e in report["effects"] if e["effect"] == "numerics"]
 
     (numerics,) = found()
@@ -404,10 +403,10 @@ def test_numerics_are_reported_as_what_differs():
 def test_what_a_residual_goes_along_with_is_a_share_of_it():
     rng = np.random.default_rng(0)
     x, constant = rng.normal(size=500), np.ones(500)
-    assert alike(x, 3 * x + 7) == pytest.approx(1) and alike(-x, x) == pytest.approx(-1)
-    assert alike(constant, constant * -4e-9) == pytest.approx(-1), "a residual that is the same everywhere"
-    assert abs(alike(constant, x)) < 0.1 and abs(alike(x, rng.normal(size=500))) < 0.1
-    assert alike(x, constant) == 0 and alike(0 * x, x) == 0
+    assert correlation(x, 3 * x + 7) == pytest.approx(1) and correlation(-x, x) == pytest.approx(-1)
+    assert correlation(constant, constant * -4e-9) == pytest.approx(-1), "a residual that is the same everywhere"
+    assert abs(correlation(constant, x)) < 0.1 and abs(correlation(x, rng.normal(size=500))) < 0.1
+    assert correlation(x, constant) == 0 and correlation(0 * x, x) == 0
 
 
 LOOSE = ARM.replace(

@@ -10,16 +10,25 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.discovery import Discovery, discover
-from idapt_pl.discovery.forecasts import play
-from idapt_pl.discovery.windows import believable, beyond_the_control, removed, shown_by, worth_it
-from idapt_pl.domains.effects import BodyMass, JointDamping
-from idapt_pl.domains.paths import SensorGain
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.signals import SensorGain
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.sensing import GAIN, Calibration, Sensor, calibrate, readable, used
+from idapt_pl.image_diagnosis import discover_effects
+from idapt_pl.image_diagnosis.calibration import GAIN_STD, Calibration, calibrate, familiar_frames, reliable_channels
+from idapt_pl.image_diagnosis.forecasts import play_commands
+from idapt_pl.image_diagnosis.sensor import ImageSensor
+from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.image_diagnosis.windows import (
+    believable,
+    beyond_the_control,
+    drop_unconvincing,
+    removed_error_share,
+    sensor_makes_up,
+)
 from idapt_pl.tasks import make_task
 
-LOOK_FOR = Discovery(True, candidates=("body_mass", "joint_damping"), max_effects=1)
+LOOK_FOR = DiscoverySettings(True, candidates=("body_mass", "joint_damping"), max_effects=1)
 RANGE = 2.0  # m or rad to either side
 
 
@@ -89,7 +98,7 @@ def played(path, domain, seed, states=False):
     with closing(PictureEnv(task, domain)) as env:
         for k in range(40):
             commands = np.clip(rng.normal() + rng.normal(size=(25, 1)), -3, 3).astype(np.float32)
-            state = play(env, commands, 1000 * seed + k, lambda obs: obs["state"])[0]
+            state = play_commands(env, commands, 1000 * seed + k, lambda obs: obs["state"])[0]
             seen = {"pixels": picture(state[:, :2])} | ({"state": state} if states else {})
             made.append(Episode(commands[: len(state) - 1], seen))
     write_trajectories(path, Trajectories(tuple(made), 0.04, "test"))
@@ -101,9 +110,9 @@ def found(tmp_path, *hidden, gain=1.0, options=LOOK_FOR, recorded=recorded):
     source = task.domain("source")
     control = recorded(tmp_path / "control.h5", source, 1, states=True)
     target = recorded(tmp_path / "target.h5", source.with_effects(*hidden), 2)
-    sensor = Sensor(Reader(gain), task, 3)
+    sensor = ImageSensor(Reader(gain), task, 3)
     make_env = lambda domain, n: PictureEnv(task, domain, n)  # noqa: E731
-    return discover(source, sensor, Identity(), [target], [control], options, 0, make_env)
+    return discover_effects(source, sensor, Identity(), [target], [control], options, 0, make_env)
 
 
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])
@@ -123,7 +132,7 @@ def test_a_planted_effect_is_found(tmp_path, hidden):
 @pytest.mark.parametrize("hidden", [(), (BodyMass("pole", 50.0),)])
 def test_where_a_sensor_cannot_tell_how_fast_things_move_forecasts_decide(tmp_path, monkeypatch, hidden, gain):
     """The same effect, or nothing, also where angles are read too small, which is on both sides of a forecast."""
-    monkeypatch.setattr("idapt_pl.sensing.VAGUE", 1e-3)
+    monkeypatch.setattr("idapt_pl.image_diagnosis.calibration.VELOCITY_ERROR_LIMIT", 1e-3)
     result = found(tmp_path, *hidden, gain=gain, recorded=played)
     assert result["forecasts"] and [(e["effect"], e["target"]) for e in result["effects"]] == [
         (e.name, e.target) for e in hidden
@@ -150,7 +159,7 @@ def test_two_planted_effects_are_found(tmp_path):
 
 
 def diagnosis(*effects, after, before=4.0):
-    """As far as :func:`worth_it` looks at one: one channel, in units in which the control's error is 1."""
+    """As far as :func:`drop_unconvincing` looks at one: one channel, in units in which the control's error is 1."""
     error = {"before": before, "after": after, "per_channel": {"hinge": {"before": before, "after": after}}}
     report = {"error": error, "effects": [{"effect": e.name, "target": e.target} for e in effects]}
     return SimpleNamespace(effects=effects, report=report)
@@ -163,7 +172,7 @@ MASS, DAMPING = BodyMass("pole", 50.0), JointDamping("hinge", 8.0)
 def test_a_second_effect_must_say_enough_for_itself(after_both, kept):
     """The first leaves 3.2 of 4; half of what is beyond the control's 1 is 1.1, three tenths of all is 0.96."""
     made = {2: diagnosis(MASS, DAMPING, after=after_both), 1: diagnosis(MASS, after=3.2)}
-    seen, left_out = worth_it(made.get, 2, diagnosis(before=1.0, after=1.0))
+    seen, left_out = drop_unconvincing(made.get, 2, diagnosis(before=1.0, after=1.0))
     assert len(seen.effects) == kept and [e["effect"] for e in left_out] == ["joint_damping"][: 2 - kept]
 
 
@@ -174,7 +183,7 @@ def test_one_effect_is_diagnosed_once():
         asked.append(most)
         return diagnosis(MASS, after=3.9)
 
-    assert worth_it(diagnosed, 2, diagnosis(before=1.0, after=1.0))[1] == [] and asked == [2]
+    assert drop_unconvincing(diagnosed, 2, diagnosis(before=1.0, after=1.0))[1] == [] and asked == [2]
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):
@@ -191,7 +200,7 @@ def test_what_the_control_shows_too_is_not_believed(tmp_path):
 def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
     """Stacks do not reach into the episode before, and readings stand beside the actions that were taken there."""
     path = recorded(tmp_path / "d.h5", make_task("inverted_pendulum").domain("source"), 3, episodes=3)
-    read = Sensor(Reader(), make_task("inverted_pendulum"), 3).read([path])
+    read = ImageSensor(Reader(), make_task("inverted_pendulum"), 3).read([path])
     for there, here in zip(read_trajectories(path), read, strict=True):
         assert np.array_equal(there.actions, here.actions)
         again = Reader().predict(torch.from_numpy(there.observations["pixels"][:, None])).numpy()[:, :2]
@@ -203,8 +212,8 @@ def test_what_a_sensor_makes_up_counts_by_how_much_of_it_there_is():
         parameters = {"delay": {"nominal": 0.0, "estimate": seconds}}
         return {"effect": "actuator_delay", "target": target, "parameters": parameters}
 
-    assert shown_by(delay(0.04), [delay(0.03)]) and not shown_by(delay(0.04), [delay(0.01)])
-    assert not shown_by(delay(0.04), [delay(0.04, "elsewhere")]) and not shown_by(delay(0.04), [])
+    assert sensor_makes_up(delay(0.04), [delay(0.03)]) and not sensor_makes_up(delay(0.04), [delay(0.01)])
+    assert not sensor_makes_up(delay(0.04), [delay(0.04, "elsewhere")]) and not sensor_makes_up(delay(0.04), [])
 
 
 def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
@@ -213,13 +222,13 @@ def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
     path = recorded(tmp_path / "d.h5", task.domain("source"), 3, states=True)
     model, states = task.domain("source").compile(), read_trajectories(path)
     angle = np.concatenate([e.observations["state"][:, 1] for e in states])
-    read = Sensor(Reader(gain=0.6), task, 3).read([path], Identity())
+    read = ImageSensor(Reader(gain=0.6), task, 3).read([path], Identity())
     found = calibrate(task, model, read)
     assert found.position[0] == pytest.approx(1e-3, rel=0.3)  # a few draws of noise, repeated in every episode
     assert found.position[1] == pytest.approx(0.4 * np.sqrt(np.mean(angle**2)), rel=0.05)
     speeds = np.concatenate([e.observations["state"][:, 2:] for e in states])
     assert found.velocity == pytest.approx(np.sqrt(np.mean(speeds**2, 0)), rel=1e-6)
-    assert not found.reads_velocities and set(used(read, found).episodes[0].observations) == {"qpos"}
+    assert not found.reads_velocities and set(reliable_channels(read, found).episodes[0].observations) == {"qpos"}
     assert found.noise(model, ()).start == pytest.approx(np.concatenate([found.position, found.slope]))
 
 
@@ -257,13 +266,13 @@ def test_frames_unlike_those_a_sensor_learned_from_are_left_out():
     out[20:25, 0] = 0.5
     read = misread(swings(3, seed=1), lambda qpos, qvel: qpos + out)
     numbered = tuple(replace(e, actions=np.arange(50, dtype=np.float32)[:, None]) for e in read)
-    kept = readable(task, model, replace(read, episodes=numbered), known)
+    kept = familiar_frames(task, model, replace(read, episodes=numbered), known)
     assert [len(e) for e in kept] == [19, 25] * 3
     assert [e.actions[[0, -1], 0].tolist() for e in kept][:2] == [[0, 18], [25, 49]]
     assert kept.episodes[1].observations["qpos"] == pytest.approx(read.episodes[0].observations["qpos"][25:])
-    assert [len(e) for e in readable(task, model, known, known)] == [50] * 40
+    assert [len(e) for e in familiar_frames(task, model, known, known)] == [50] * 40
     everywhere = misread(known, lambda qpos, qvel: qpos + 0.5)
-    assert readable(task, model, everywhere, known) is everywhere
+    assert familiar_frames(task, model, everywhere, known) is everywhere
 
 
 def test_joints_that_no_state_tells_leave_no_frame_out():
@@ -273,7 +282,7 @@ def test_joints_that_no_state_tells_leave_no_frame_out():
     qpos, qvel = task.motion(states, 0.02)
     known = Trajectories((Episode(np.zeros((199, 6)), {"qpos": qpos, "qvel": qvel, "state": states}),), 0.02)
     far = misread(known, lambda qpos, qvel: qpos + np.eye(9)[0] * 100)
-    assert readable(task, model, far, known).episodes[0].observations["qpos"][0, 0] > 90
+    assert familiar_frames(task, model, far, known).episodes[0].observations["qpos"][0, 0] > 90
 
 
 def test_no_error_is_told_of_a_position_that_no_state_tells():
@@ -293,7 +302,7 @@ def test_velocities_are_compared_where_they_are_read_well():
     assert vague.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
     assert vague.noise(model, ()).start == pytest.approx([0.1, 0.1, 0.5, 0.5])
     assert good.reads_velocities and good.noise(model, ()).sensors == pytest.approx([0.1, 0.1, 0.2, 0.2])
-    assert good.noise(model, ["slider"]).systematic == (SensorGain("hinge", 1 + GAIN),)
+    assert good.noise(model, ["slider"]).systematic == (SensorGain("hinge", 1 + GAIN_STD),)
 
 
 def test_what_is_beyond_the_control_is_measured_where_it_is_most():
@@ -319,5 +328,5 @@ def test_what_is_believed(excess, explained, gone, made_up_share, expected):
 
 
 def test_the_share_of_an_error_that_goes():
-    assert removed({"before": 4.0, "after": 3.0}) == 0.25
-    assert removed({"before": 0.0, "after": 0.0}) == 0.0
+    assert removed_error_share({"before": 4.0, "after": 3.0}) == 0.25
+    assert removed_error_share({"before": 0.0, "after": 0.0}) == 0.0

@@ -7,30 +7,33 @@ import numpy as np
 import pytest
 import yaml
 
-from idapt_pl.domains import EFFECTS, Domain, effect_from_dict
-from idapt_pl.domains.effects import (
+from idapt_pl.effects import EFFECTS, Domain, effect_from_dict
+from idapt_pl.effects.actuators import (
+    ActuatorBias,
+    ActuatorDeadzone,
     ActuatorGain,
     ActuatorKp,
     ActuatorKv,
-    BodyCom,
-    BodyInertia,
-    BodyMass,
-    ContactFriction,
-    ContactSoftness,
-    FluidDrag,
-    GravityDirection,
+    ActuatorRotation,
+    ActuatorSaturation,
+    MotorConstant,
+)
+from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
+from idapt_pl.effects.contacts import ContactFriction, ContactSoftness
+from idapt_pl.effects.joints import (
     JointArmature,
     JointBacklash,
+    JointCogging,
     JointDamping,
     JointDrag,
     JointFrictionloss,
     JointSpringref,
     JointStiffness,
-    MotorConstant,
-    Numerics,
-    Payload,
+    JointStribeck,
 )
-from idapt_pl.domains.looks import (
+from idapt_pl.effects.runtime import ForceEffect, SensingEffect
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorBias, SensorDelay, SensorGain
+from idapt_pl.effects.visual import (
     Blur,
     CameraFrame,
     CameraPose,
@@ -42,22 +45,7 @@ from idapt_pl.domains.looks import (
     Texture,
     orbit_axes,
 )
-from idapt_pl.domains.paths import (
-    ActuatorBias,
-    ActuatorDeadzone,
-    ActuatorDelay,
-    ActuatorLag,
-    ActuatorRotation,
-    ActuatorSaturation,
-    ExternalForce,
-    ForceEffect,
-    JointCogging,
-    JointStribeck,
-    SensingEffect,
-    SensorBias,
-    SensorDelay,
-    SensorGain,
-)
+from idapt_pl.effects.world import ExternalForce, FluidDrag, GravityDirection, Numerics
 from idapt_pl.tasks import make_task
 
 MODEL = """

@@ -5,8 +5,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from idapt_pl.domains import Domain, View
-from idapt_pl.domains.looks import Blur
+from idapt_pl.effects import Domain, View
+from idapt_pl.effects.visual import Blur
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 
 K, SIZE, N = 3, 16, 2

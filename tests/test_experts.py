@@ -11,12 +11,13 @@ from cli.main import main
 from cli.trainers import plain_trainer
 from datamodules import read_trajectories
 from datamodules.trajectories import content_hash
-from idapt_pl import experts
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
-from idapt_pl.experts import ExpertRecipe, measure, train_expert
 from idapt_pl.modules import StateSAC
+from idapt_pl.rl import experts
+from idapt_pl.rl.experts import measure_expert, train_expert
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import make_task
+from idapt_pl.tasks.recipe import ExpertRecipe
 
 QUICK = ExpertRecipe(steps=40, warmup_steps=20, num_envs=2, batch=8)
 
@@ -46,8 +47,8 @@ def test_expert_is_trained_once_and_the_same_each_time(cart, tmp_path):
     for other in (kept, again):
         for x, y in zip(first.state_dict().values(), other.state_dict().values(), strict=True):
             assert torch.equal(x, y)
-    returns = measure(first, cart, cart.domain("hard"), 4, seed=0)
-    assert len(returns.returns) == 4 and returns == measure(kept, cart, cart.domain("hard"), 4, seed=0)
+    returns = measure_expert(first, cart, cart.domain("hard"), 4, seed=0)
+    assert len(returns.returns) == 4 and returns == measure_expert(kept, cart, cart.domain("hard"), 4, seed=0)
 
 
 def test_states_are_standardised_for_actor_and_critics_alike():
@@ -63,7 +64,7 @@ def test_state_sac_balances_the_pole(tmp_path):
     task = make_task("inverted_pendulum")
     recipe = ExpertRecipe(steps=5000)
     policy = train_expert(task, task.domain("source"), recipe, Stages(tmp_path, 0, plain_trainer), "policy")
-    assert measure(policy, task, task.domain("source"), 5, seed=0).mean > 900
+    assert measure_expert(policy, task, task.domain("source"), 5, seed=0).mean > 900
 
 
 def collected(tmp_path, name, *args):

@@ -6,8 +6,10 @@ import sys
 
 import pytest
 
-from idapt_pl.domains import filament, rendering
-from idapt_pl.domains.rendering import FrameRenderer, engine_of, make_renderer
+from idapt_pl.effects.visual import engine_of
+from idapt_pl.rendering import classic, filament
+from idapt_pl.rendering.classic import FrameRenderer
+from idapt_pl.rendering.make import make_renderer
 from idapt_pl.tasks import make_task
 
 PROGRAM = """
@@ -57,7 +59,7 @@ def test_filament_draws_the_same_state_the_same_way_in_each_process():
 def test_without_filament_the_classic_renderer_draws_the_same_room_and_says_so(caplog):
     model = make_task("sawyer_push").domain("hard").compile()
     assert engine_of(model) == "filament" and engine_of(make_task("sawyer_push").domain("easy").compile()) == "classic"
-    rendering._warn_once.cache_clear()  # other tests of this process may have been told
+    classic._warn_once.cache_clear()  # other tests of this process may have been told
     with caplog.at_level("WARNING"):
         render = make_renderer(model, 16)
     assert isinstance(render, FrameRenderer) and "IDAPT_RENDERER=classic" in caplog.text

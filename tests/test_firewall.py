@@ -8,8 +8,8 @@ import pytest
 
 from datamodules import write_trajectories
 from idapt_pl.envs import BlindTarget, VectorImageEnv
-from idapt_pl.ledger import Ledger
-from idapt_pl.rollout import collect
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.rl.collect import collect
 from idapt_pl.worlds import Worlds
 
 

@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.library import Candidate
-from idapt_pl.discovery.discover import of_one_parameter
-from idapt_pl.discovery.estimate import UNSEEN, lowest
-from idapt_pl.discovery.forecasts import Forecasts, Sighting, energy_score, held, play
-from idapt_pl.discovery.search import at, closer, refine, values
-from idapt_pl.domains.effects import BodyMass, JointDamping
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
+from idapt_pl.estimation.energy import energy_score
+from idapt_pl.image_diagnosis.discover import of_one_parameter
+from idapt_pl.image_diagnosis.forecast_search import bracket_minimum, evaluate_at, first_values, refine_estimate
+from idapt_pl.image_diagnosis.forecasts import Forecaster, ObservedStart, pad_with_last, play_commands
+from idapt_pl.image_diagnosis.parabola import SYSTEMATIC_LOG_STD, parabola_minimum
 from idapt_pl.tasks import make_task
 
 TASK = make_task("inverted_pendulum")
@@ -48,7 +50,7 @@ def test_commands_are_played_from_the_same_resets_whatever_the_domain():
     shown = []
     for domain in (SOURCE, SOURCE.with_effects(BodyMass("pole", 200.0))):
         with closing(VectorStateEnv(TASK, domain, 3)) as env:
-            shown.append(play(env, commands, 5, state))
+            shown.append(play_commands(env, commands, 5, state))
     light, heavy = shown
     for a, b in zip(light, heavy, strict=True):
         assert np.array_equal(a[0], b[0]), "resets"
@@ -58,7 +60,7 @@ def test_commands_are_played_from_the_same_resets_whatever_the_domain():
 
 
 def test_what_was_over_before_stays_as_it_was():
-    assert held(np.array([[1.0], [2.0]]), 4).tolist() == [[1.0], [2.0], [2.0], [2.0]]
+    assert pad_with_last(np.array([[1.0], [2.0]]), 4).tolist() == [[1.0], [2.0], [2.0], [2.0]]
 
 
 def pendulum_forecasts(hidden, count=12):
@@ -67,9 +69,9 @@ def pendulum_forecasts(hidden, count=12):
     with closing(VectorStateEnv(TASK, SOURCE.with_effects(*hidden))) as env:
         for k in range(count):
             commands = rng.uniform(-3, 3, (10, 1)).astype(np.float32)
-            read = play(env, commands, 100 + k, state)[0]
-            seen.append(Sighting(commands[: len(read) - 1], read))
-    return Forecasts(tuple(seen), lambda d: VectorStateEnv(TASK, d, 4), state, lambda x, a: x, np.ones(4))
+            read = play_commands(env, commands, 100 + k, state)[0]
+            seen.append(ObservedStart(commands[: len(read) - 1], read))
+    return Forecaster(tuple(seen), lambda d: VectorStateEnv(TASK, d, 4), state, lambda x, a: x, np.ones(4))
 
 
 @pytest.mark.parametrize("mass", [50.0, 200.0])
@@ -101,10 +103,12 @@ def pole():
 @pytest.mark.parametrize("start", [50.0, 80.0, 150.0])
 def test_an_estimate_goes_to_the_lowest_point_and_its_interval_knows_of_episodes_and_of_G(start):
     valley = Valley()
-    found = refine(SOURCE, closer(SOURCE, at(SOURCE, pole(), start, valley, 0), valley, 0), valley, 0)
+    found = refine_estimate(
+        SOURCE, bracket_minimum(SOURCE, evaluate_at(SOURCE, pole(), start, valley, 0), valley, 0), valley, 0
+    )
     assert found.x == pytest.approx(80.0, rel=0.01)
     of_a_mean = 2.201 * Valley.lowest.std(ddof=1) / np.sqrt(12)  # Student's t, 11 degrees of freedom
-    half = np.hypot(of_a_mean, 1.96 * UNSEEN)
+    half = np.hypot(of_a_mean, 1.96 * SYSTEMATIC_LOG_STD)
     assert np.log(found.interval) == pytest.approx(np.log(found.x) + np.array([-half, half]), rel=0.01)
 
 
@@ -113,17 +117,19 @@ def test_no_interval_where_the_lowest_point_is_beyond_what_was_tried():
         def scores(self, domain, seed):
             return np.full(12, np.log(domain.compile().body("pole").mass[0]))
 
-    found = refine(SOURCE, closer(SOURCE, at(SOURCE, pole(), 80.0, Slope(), 0), Slope(), 0), Slope(), 0)
+    found = refine_estimate(
+        SOURCE, bracket_minimum(SOURCE, evaluate_at(SOURCE, pole(), 80.0, Slope(), 0), Slope(), 0), Slope(), 0
+    )
     assert found.interval is None and found.x < 50
 
 
 def test_a_parabola_goes_a_stride_beyond_what_was_tried_and_not_further():
     x = np.array([0.0, 0.4, 0.8])
-    assert lowest(x, np.square(x - 0.3)) == (pytest.approx(0.3), True)
-    assert lowest(x, np.square(x - 1.0)) == (pytest.approx(1.0), False)
-    assert lowest(x, np.square(x - 9.0)) == (pytest.approx(1.2), False)
-    assert lowest(x, -x) == (pytest.approx(1.2), False), "no bend"
-    assert lowest(np.array([0.0, 0.0, 0.4]), np.array([1.0, 1.0, 2.0])) == (0.0, False), "at a bound"
+    assert parabola_minimum(x, np.square(x - 0.3)) == (pytest.approx(0.3), True)
+    assert parabola_minimum(x, np.square(x - 1.0)) == (pytest.approx(1.0), False)
+    assert parabola_minimum(x, np.square(x - 9.0)) == (pytest.approx(1.2), False)
+    assert parabola_minimum(x, -x) == (pytest.approx(1.2), False), "no bend"
+    assert parabola_minimum(np.array([0.0, 0.0, 0.4]), np.array([1.0, 1.0, 2.0])) == (0.0, False), "at a bound"
 
 
 def test_effects_of_several_parameters_are_an_error_that_names_them():
@@ -134,6 +140,8 @@ def test_effects_of_several_parameters_are_an_error_that_names_them():
 
 
 def test_first_values_are_on_both_sides_and_inside_the_bounds():
-    assert values(pole())[0] == pytest.approx(0.4 * 4.895) and values(pole())[-1] == pytest.approx(8 * 4.895)
+    assert first_values(pole())[0] == pytest.approx(0.4 * 4.895) and first_values(pole())[-1] == pytest.approx(
+        8 * 4.895
+    )
     damping = Candidate(JointDamping, "hinge", ("damping",), (0.0,), (2.0,))
-    assert values(damping) == pytest.approx([0.6, 2.0, 6.0])
+    assert first_values(damping) == pytest.approx([0.6, 2.0, 6.0])

@@ -5,12 +5,12 @@ import re
 import numpy as np
 
 from cli.main import main
-from idapt_pl.gallery import Learned, comparison, grouped, pictures
+from idapt_pl.report.gallery import LearnedLook, domain_comparison, domain_pictures, group_rows
 from idapt_pl.tasks import make_task
 
 
 def test_pictures_show_the_same_states_in_every_domain():
-    shown = pictures(make_task("inverted_pendulum"), 16, (0, 5))
+    shown = domain_pictures(make_task("inverted_pendulum"), 16, (0, 5))
     assert set(shown) == {"source", "easy", "hard"}
     assert all(len(images) == 2 and images[0].shape == (16, 16, 3) for images in shown.values())
     assert (shown["source"][0] != shown["hard"][0]).any()
@@ -18,14 +18,14 @@ def test_pictures_show_the_same_states_in_every_domain():
 
 def test_what_a_run_learned_is_shown_beside_its_domain():
     """A G that turns colours round gets the source, at its own size, in the states of the other rows."""
-    negative = Learned("inverted_pendulum", "hard", 24, 3, lambda pixels: 255 - pixels)
-    shown = pictures(make_task("inverted_pendulum"), 24, (0, 5), [negative])
+    negative = LearnedLook("inverted_pendulum", "hard", 24, 3, lambda pixels: 255 - pixels)
+    shown = domain_pictures(make_task("inverted_pendulum"), 24, (0, 5), [negative])
     assert list(shown) == ["source", "easy", "hard", "G to hard"]
     assert all((255 - g == s).all() for g, s in zip(shown["G to hard"], shown["source"], strict=True))
 
 
 def test_comparison_reads_table_1_from_the_models():
-    rows = {(field, of): values for field, of, _, values in comparison(make_task("walker2d"))}
+    rows = {(field, of): values for field, of, _, values in domain_comparison(make_task("walker2d"))}
     assert {k: np.round(v, 6) for k, v in rows["body_mass", "torso"].items()} == {
         "source": 3.534,
         "easy": 5.4,
@@ -34,7 +34,7 @@ def test_comparison_reads_table_1_from_the_models():
 
 
 def test_what_mjcf_has_no_words_for_is_in_the_table_too():
-    rows = grouped(comparison(make_task("fetch_reach")))
+    rows = group_rows(domain_comparison(make_task("fetch_reach")))
     turned = next(row for row in rows if row[0] == "actuator_rotation")
     assert turned[1:3] == ("x y", False) and "0.7854" in turned[3]["hard"]
 

@@ -17,8 +17,8 @@ from torch.utils.data import DataLoader
 from cli.main import main
 from cli.run_folder import load_policy, load_visual, open_run
 from datamodules import read_trajectories
-from idapt_pl.discovery import Discovery
-from idapt_pl.domains import effect_from_dict
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.stage import Stages, stage_seed
 
 STEPS = TINY["schedule.grounding_steps"]
@@ -273,13 +273,13 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
 
 def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(finished_run, tmp_path, monkeypatch):
     """Hardly trained estimators do not. The whole way through: images of the target, G, the sensor, the run folder."""
-    monkeypatch.setattr("idapt_pl.discovery.forecasts.EPISODES", 4)
-    monkeypatch.setattr("idapt_pl.discovery.forecasts.STEPS", 8)
+    monkeypatch.setattr("idapt_pl.image_diagnosis.forecasts.FORECAST_EPISODES", 4)
+    monkeypatch.setattr("idapt_pl.image_diagnosis.forecasts.FORECAST_STEPS", 8)
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)
     ledger = (run / "ledger.json").read_text()
     grounding = open_run(run)
-    grounding.effects = Discovery(True, candidates=("body_mass",), max_effects=1)
+    grounding.effects = DiscoverySettings(True, candidates=("body_mass",), max_effects=1)
     pi = load_policy(grounding, run / "step_00/policy/final.ckpt")
     repaired = grounding.repair_source(0, [run / "step_00/target.h5"], load_visual(grounding), pi)
     found = json.loads((run / "step_00/effects.json").read_text())
@@ -315,7 +315,7 @@ IMAGES = ["--candidates", "body_mass", "--max-effects", "1", "--seed", "0"]
 
 
 def test_a_recording_of_images_alone_is_diagnosed_with_the_estimator_of_a_run(finished_run, tmp_path, monkeypatch):
-    monkeypatch.setattr("idapt_pl.sensing.VAGUE", np.inf)
+    monkeypatch.setattr("idapt_pl.image_diagnosis.calibration.VELOCITY_ERROR_LIMIT", np.inf)
     data, out = finished_run / "step_00/target.h5", tmp_path / "diagnosis"
     assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *IMAGES]) == 0
     report = json.loads((out / "report.json").read_text())

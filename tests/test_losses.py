@@ -5,6 +5,7 @@ import torch
 from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
+from idapt_pl.estimation.energy import energy_distance
 from idapt_pl.losses import (
     flicker,
     gail_reward,
@@ -17,7 +18,6 @@ from idapt_pl.losses import (
     smoothed_bce,
     squashed_log_prob,
 )
-from idapt_pl.residual import energy_distance
 
 
 def no(t, n=1):

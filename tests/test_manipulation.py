@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.domains.packaged import ModelsMissing, packaged_file
+from idapt_pl.effects.packaged import ModelsMissing, packaged_file
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import make_task
 

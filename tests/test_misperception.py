@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from idapt_pl.misperception import Faithful, Misperception
 from idapt_pl.modules import AsymmetricSAC
+from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNoise
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import jitter
 
@@ -25,13 +25,13 @@ def policy(**overrides):
 
 
 def test_rates_share_the_gain_of_their_position_and_have_no_offset():
-    perceive = Misperception(policy().actor.encoder, 5, 0.1, seed=0)
+    perceive = ObservationNoise(policy().actor.encoder, 5, 0.1, seed=0)
     assert np.array_equal(perceive.gain[:, 2:], perceive.gain[:, :2])
     assert (perceive.offset[:, 2:] == 0).all() and (perceive.offset[:, :2] != 0).all()
 
 
 def test_only_finished_episodes_are_misperceived_in_another_way():
-    perceive = Misperception(policy().actor.encoder, 3, 0.1, seed=0)
+    perceive = ObservationNoise(policy().actor.encoder, 3, 0.1, seed=0)
     seen = {"observation": np.ones((3, 4), np.float32), "pixels": np.zeros(3)}
     before = perceive(seen)
     perceive.renew(np.array([False, True, False]))
@@ -42,14 +42,14 @@ def test_only_finished_episodes_are_misperceived_in_another_way():
 
 
 def test_spread_is_as_asked():
-    perceive = Misperception(policy().actor.encoder, 20_000, 0.1, seed=0)
+    perceive = ObservationNoise(policy().actor.encoder, 20_000, 0.1, seed=0)
     assert perceive.gain[:, :2].std() == pytest.approx(0.1, rel=0.03)
     assert perceive.offset[:, :2].std() == pytest.approx(0.1, rel=0.03)
 
 
 @pytest.mark.parametrize("settings", [{"misperception": 0.0}, {"misperception": 0.1, "encoder": "learned"}])
 def test_nothing_is_misperceived_where_nothing_is_estimated_or_asked_for(settings):
-    assert type(policy(**settings).perception(2, 0)) is Faithful
+    assert type(policy(**settings).perception(2, 0)) is NoObservationNoise
 
 
 def test_jitter_keeps_the_mean_image_and_changes_each_one():

@@ -11,11 +11,11 @@ from torch.utils.data import DataLoader
 
 from datamodules import OnPolicyDataModule, ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import GroundedEnv
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation, training
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation, manual
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import to_float
-from idapt_pl.rollout import garat_rollout
+from idapt_pl.rl.grounded_rollout import garat_rollout
 
 SIZE = 32
 SMALL = {"image_size": SIZE, "frame_stack": 2, "vision": Vision(strides=(2, 2, 1, 1)), "bf16": False}
@@ -61,20 +61,20 @@ class Labels:
     [(True, True, torch.bfloat16), (False, True, torch.float32), (True, False, torch.float32)],
 )
 def test_bfloat16_is_used_where_it_is_asked_for_and_the_device_computes_in_it(monkeypatch, can, asked, expected):
-    monkeypatch.setattr(training, "computes_bfloat16", lambda device: can)
+    monkeypatch.setattr(manual, "computes_bfloat16", lambda device: can)
     conv = nn.Conv2d(3, 4, 3)
-    with training.fast_precision(torch.device("cpu"), asked):
+    with manual.fast_precision(torch.device("cpu"), asked):
         assert conv(torch.zeros(1, 3, 8, 8)).dtype == expected
 
 
 def test_devices_without_bfloat16_are_known():
-    assert training.computes_bfloat16("cpu") == torch.ops.mkldnn._is_mkldnn_bf16_supported()
-    assert not training.computes_bfloat16("meta")
+    assert manual.computes_bfloat16("cpu") == torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    assert not manual.computes_bfloat16("meta")
 
 
 def test_a_build_without_onednn_computes_no_bfloat16_on_the_cpu(monkeypatch):
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
-    assert training.computes_bfloat16("cpu") is False
+    assert manual.computes_bfloat16("cpu") is False
 
 
 # --- P^S ------------------------------------------------------------------------------------------------

@@ -4,20 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.domains.paths import (
-    ActuatorBias,
-    ActuatorDeadzone,
-    ActuatorDelay,
-    ActuatorLag,
-    ActuatorRotation,
-    ActuatorSaturation,
-    Command,
-    JointCogging,
-    JointStribeck,
-    SensorBias,
-    SensorDelay,
-    SensorGain,
-)
+from idapt_pl.effects.actuators import ActuatorBias, ActuatorDeadzone, ActuatorRotation, ActuatorSaturation
+from idapt_pl.effects.joints import JointCogging, JointStribeck
+from idapt_pl.effects.runtime import Command
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorBias, SensorDelay, SensorGain
 
 STEP = Command(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 5.0], [2.0, 6.0]]))  # two actuators, held for 1 s each
 

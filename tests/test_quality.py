@@ -5,8 +5,15 @@ import torch
 import torchvision
 from torch import nn
 
+from idapt_pl.evaluation.image_quality import (
+    Backbone,
+    PairedScores,
+    StateError,
+    fit_feature_probe,
+    kernel_distance,
+    newest,
+)
 from idapt_pl.nets.images import stack_channels
-from idapt_pl.quality import Backbone, PairedScores, StateError, fit_feature_probe, kernel_distance, newest
 
 
 class Colored(torch.utils.data.Dataset):

@@ -11,8 +11,8 @@ from cli.main import main
 from datamodules import read_trajectories
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.modules import StateSAC
-from idapt_pl.rehearsal import Rehearsal
-from idapt_pl.rollout import collect
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.exploration import OpenLoopReplay
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def teacher():
 def played_by(teacher, cart, n, ends, seed=1):
     """Actions (steps, n, 1) of a rehearsal that is told of these ends, (steps, n)."""
     torch.manual_seed(seed)
-    act, actions = Rehearsal(teacher, VectorStateEnv(cart, cart.domain("source"), n), seed), []
+    act, actions = OpenLoopReplay(teacher, VectorStateEnv(cart, cart.domain("source"), n), seed), []
     for ended in ends:
         actions.append(act(np.zeros(n)))
         act.tick(ended)
@@ -62,7 +62,7 @@ def test_episodes_of_the_robot_and_of_the_rehearsal_begin_together(cart, teacher
     seen = []
     monkeypatch.setattr(teacher, "act", lambda states: seen.append(states[0]) or np.full((1, 1), 90.0, np.float32))
     target = VectorImageEnv(cart, cart.domain("hard"), 1, 16, 1)
-    episodes = collect(target, Rehearsal(teacher, VectorStateEnv(cart, cart.domain("source"), 1), 0), 12, 0, "")
+    episodes = collect(target, OpenLoopReplay(teacher, VectorStateEnv(cart, cart.domain("source"), 1), 0), 12, 0, "")
     target.close()
     starts = np.cumsum([0, *map(len, episodes.episodes)])[:-1]
     assert len(starts) > 1

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.domains import parallel
-from idapt_pl.domains.parallel import ParallelRenderer
-from idapt_pl.domains.render_process import POSES, RenderProcess
-from idapt_pl.domains.rendering import FrameRenderer
+from idapt_pl.rendering import parallel
+from idapt_pl.rendering.classic import FrameRenderer
+from idapt_pl.rendering.parallel import ParallelRenderer
+from idapt_pl.rendering.process import POSES, RenderProcess
 
 SIZE = 16
 
@@ -116,7 +116,7 @@ def test_models_drawn_elsewhere_change_processes_after_their_lifetime(model, exp
 
 
 def test_such_a_process_loads_no_torch():
-    program = "import sys, idapt_pl.domains.render_process; print('torch' in sys.modules, 'mujoco' in sys.modules)"
+    program = "import sys, idapt_pl.rendering.process; print('torch' in sys.modules, 'mujoco' in sys.modules)"
     env = os.environ | {"IDAPT_ONLY_RENDERS": "1"}
     done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True)
     assert done.stdout.split() == ["False", "True"], done.stderr

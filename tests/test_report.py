@@ -11,8 +11,8 @@ from conftest import TINY, numbered_episodes
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.report.pictures import shown, stacks
-from idapt_pl.report.record import read_record
+from idapt_pl.report.run_pictures import spread_stacks, translated_examples
+from idapt_pl.report.run_record import read_run_record
 from idapt_pl.worlds import Worlds
 
 STEPS = TINY["schedule.grounding_steps"]
@@ -86,7 +86,7 @@ def test_the_page_is_made_from_the_folder_without_a_target_and_is_the_same_each_
 
 
 def test_returns_stand_at_the_interactions_that_their_policy_had_cost(finished_run):
-    used = [s.interactions for s in read_record(finished_run).steps]
+    used = [s.interactions for s in read_run_record(finished_run).steps]
     images, more = TINY["schedule.images"], TINY["schedule.interactions"]
     assert used == [images + k * more for k in range(STEPS + 1)]
 
@@ -172,7 +172,7 @@ def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):
 
 def test_stacks_are_spread_over_the_file_and_stay_within_episodes(tmp_path):
     write_trajectories(tmp_path / "d.h5", numbered_episodes([4] * 20))
-    seen = stacks(tmp_path / "d.h5", 10, 3)
+    seen = spread_stacks(tmp_path / "d.h5", 10, 3)
     assert seen.shape == (10, 3, 8, 8, 3)
     episode, time = seen[:, :, 0, 0, 0].astype(int), seen[:, :, 0, 0, 1].astype(int)
     assert (episode == episode[:, :1]).all() and (np.diff(episode[:, 0]) > 0).all()
@@ -188,6 +188,6 @@ def test_the_real_frame_beside_a_translation_is_the_one_most_like_it(tmp_path):
         def translate(self, pixels):
             return pixels
 
-    seen = shown(tmp_path / "d.h5", tmp_path / "d.h5", Identity())
+    seen = translated_examples(tmp_path / "d.h5", tmp_path / "d.h5", Identity())
     assert np.array_equal(seen.source, seen.translated)
     assert np.abs(seen.target.astype(int) - seen.translated).max() <= 1, "of 100 frames all but a few are looked at"

@@ -7,10 +7,14 @@ import pytest
 import torch
 
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
-from idapt_pl.fitting import keep_better
-from idapt_pl.misperception import Faithful
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC
-from idapt_pl.rollout import EXPLORATION, Experience, collect, collect_each, evaluate, garat_rollout, random_policy
+from idapt_pl.modules.observation_noise import NoObservationNoise
+from idapt_pl.rl.collect import collect, collect_each
+from idapt_pl.rl.experience import Experience
+from idapt_pl.rl.exploration import EXPLORATION, random_policy
+from idapt_pl.rl.grounded_rollout import garat_rollout
+from idapt_pl.rl.returns import evaluate
+from idapt_pl.stages.fitting import keep_better
 
 
 @pytest.fixture
@@ -119,7 +123,7 @@ class Remembering:
         return {"observation": pixels}
 
     def perception(self, num_envs, seed):
-        return Faithful()
+        return NoObservationNoise()
 
     def act_on(self, seen):
         return push(self.force)(seen["observation"])

@@ -16,13 +16,20 @@ from datamodules import write_trajectories
 from datamodules.on_policy import target_transitions
 from datamodules.pieces import EVERY, LONGEST, held_out, pieces
 from datamodules.stacks import FrameStacks
-from idapt_pl.domains import effect_from_dict
-from idapt_pl.fitting import Fitting
-from idapt_pl.ledger import Ledger
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.estimation.energy import energy_distance
+from idapt_pl.rl.transition_distance import half_of_episodes, transition_residual
 from idapt_pl.modules import ActionTransformation
-from idapt_pl.residual import energy_distance, half, residual
-from idapt_pl.rollout import collect
-from idapt_pl.selection import Sample, compare, in_words, judge, surprise
+from idapt_pl.rl.collect import collect
+from idapt_pl.stages.fitting import Fitting
+from idapt_pl.stages.rollback import (
+    TransitionSample,
+    bootstrap_comparison,
+    compare_transformations,
+    rollback_sentence,
+    unpredicted_change,
+)
 from idapt_pl.worlds import Worlds
 
 # --- what is held out -----------------------------------------------------------------------------------
@@ -69,21 +76,23 @@ def test_garat_is_not_given_what_is_held_out_of_the_newest_file(tmp_path):
 
 def sample(n, shift=0.0, seed=0, piece=10):
     values = torch.randn(n, 3, generator=torch.Generator().manual_seed(seed)) + shift
-    return Sample(values, np.arange(n) // piece)
+    return TransitionSample(values, np.arange(n) // piece)
 
 
 def test_the_distance_is_the_energy_distance_where_every_transition_is_a_piece():
     x, y = sample(40, 0.5, 1, 1), sample(30, 0.0, 2, 1)
-    result = judge(x, x, y, 0)
+    result = bootstrap_comparison(x, x, y, 0)
     assert result["before"] == pytest.approx(energy_distance(x.values, y.values), abs=1e-4)
     assert result["worse_by"] == 0.0 and not result["rolled_back"]
 
 
 def test_clearly_worse_is_rolled_back_and_better_or_the_same_is_not():
     real = sample(200, 0.0, 1)
-    assert judge(sample(600, 0.0, 2), sample(600, 0.8, 3), real, 0)["rolled_back"]
-    assert not judge(sample(600, 0.8, 3), sample(600, 0.0, 2), real, 0)["rolled_back"]
-    assert not judge(sample(600, 0.1, 4), sample(600, 0.05, 5), real, 0)["rolled_back"], "slightly better"
+    assert bootstrap_comparison(sample(600, 0.0, 2), sample(600, 0.8, 3), real, 0)["rolled_back"]
+    assert not bootstrap_comparison(sample(600, 0.8, 3), sample(600, 0.0, 2), real, 0)["rolled_back"]
+    assert not bootstrap_comparison(sample(600, 0.1, 4), sample(600, 0.05, 5), real, 0)["rolled_back"], (
+        "slightly better"
+    )
 
 
 def test_chance_alone_seldom_rolls_back():
@@ -91,10 +100,12 @@ def test_chance_alone_seldom_rolls_back():
 
     def drawn(rng, pieces, size=10):
         values = np.repeat(rng.normal(size=(pieces, 2)), size, 0) + 0.3 * rng.normal(size=(pieces * size, 2))
-        return Sample(torch.from_numpy(values).float(), np.arange(pieces * size) // size)
+        return TransitionSample(torch.from_numpy(values).float(), np.arange(pieces * size) // size)
 
     rng = np.random.default_rng(0)
-    wrong = sum(judge(drawn(rng, 30), drawn(rng, 30), drawn(rng, 8), i)["rolled_back"] for i in range(100))
+    wrong = sum(
+        bootstrap_comparison(drawn(rng, 30), drawn(rng, 30), drawn(rng, 8), i)["rolled_back"] for i in range(100)
+    )
     assert wrong <= 8
 
 
@@ -106,7 +117,7 @@ def test_what_actions_do_is_seen_behind_what_follows_from_the_state():
         return torch.cat([f, a, 3 * f + gain * a + 0.05 * torch.randn(n, 1, generator=g)], 1)
 
     real, same, other = moved(400, 0.2), moved(400, 0.2), moved(400, -0.2)
-    describe = surprise(moved(400, 0.2), 1)
+    describe = unpredicted_change(moved(400, 0.2), 1)
     assert describe(real)[:, 2].std() == pytest.approx(1.0, abs=0.15)
     assert energy_distance(other, real) < 0.05, "hidden in the plain transitions"
     assert energy_distance(describe(other), describe(real)) > 0.5
@@ -166,7 +177,7 @@ def worlds(cart, tmp_path, monkeypatch):
 @pytest.fixture
 def decide(worlds, tmp_path):
     def decide(F, F_before, target=tmp_path / "target.h5"):
-        return compare(worlds, Centering(), None, F, F_before, target, 3)
+        return compare_transformations(worlds, Centering(), None, F, F_before, target, 3)
 
     return decide
 
@@ -175,7 +186,7 @@ def test_sabotaged_action_transformations_are_rolled_back(decide):
     for sabotaged in (make_F(gain=-0.5), make_F(gain=0.5, bias=0.5)):
         result = decide(sabotaged, make_F(gain=0.5))
         assert result["rolled_back"] and result["after"] > result["before"], str(result)
-        assert "rolled back" in in_words(result)
+        assert "rolled back" in rollback_sentence(result)
 
 
 def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
@@ -184,12 +195,12 @@ def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
     better = decide(make_F(gain=0.5), None)
     assert not better["rolled_back"] and better["after"] < better["before"]
     assert not decide(make_F(gain=0.55), make_F(gain=0.6))["rolled_back"], "a little better"
-    assert "kept" in in_words(better)
+    assert "kept" in rollback_sentence(better)
 
 
 def test_the_residual_is_the_same_for_the_identity_and_falls_beyond_its_spread_for_what_is_right(worlds, tmp_path):
     def measured(F):
-        return residual(worlds, Centering(), None, F, [tmp_path / "target.h5"], 3)
+        return transition_residual(worlds, Centering(), None, F, [tmp_path / "target.h5"], 3)
 
     same, right = measured(make_F()), measured(make_F(gain=0.5))
     assert same["before"] == same["after"] and same["before_std"] == same["after_std"], str(same)
@@ -209,7 +220,7 @@ def test_rewards_and_states_in_a_target_file_would_change_nothing(decide, tmp_pa
     assert decide(make_F(0.5), None, poisoned) == decide(make_F(0.5), None)
 
 
-@pytest.mark.parametrize("name", ["selection", "residual"])
+@pytest.mark.parametrize("name", ["stages/rollback", "rl/transition_distance"])
 def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
     tree = ast.parse((ROOT / "idapt_pl" / f"{name}.py").read_text())
     docstrings = {
@@ -222,7 +233,7 @@ def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
         if isinstance(node, ast.Constant) and node not in docstrings:
             used.add(node.value)
     words = {w for text in used if isinstance(text, str) for w in text.split(".")}
-    assert {"grounded_rollouts", "transitions"} <= words, "the check sees nothing"
+    assert {"grounded_rollouts", "standardised_transitions"} <= words, "the check sees nothing"
     forbidden = {"rewarded_target", "blind_target", "rewards", "state", "evaluate", "evaluation", "target_return"}
     assert not words & forbidden
 
@@ -238,7 +249,7 @@ def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repea
     def worse(worlds, pi, G, F, F_before, target, seed):
         seen.append((F_before, target))
         policies.append(pi)
-        real = compare(worlds, pi, G, F, F_before, target, seed)
+        real = compare_transformations(worlds, pi, G, F, F_before, target, seed)
         return real | {"rolled_back": len(seen) == 1}  # the first step is, the second is not
 
     def watched(self, step, steps, G, F, initial):
@@ -247,7 +258,7 @@ def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repea
 
     grounded_policy = Fitting.grounded_policy
     monkeypatch.setattr(Fitting, "grounded_policy", watched)
-    monkeypatch.setattr("idapt_pl.grounding.compare", worse)
+    monkeypatch.setattr("idapt_pl.grounding.compare_transformations", worse)
     shutil.copytree(finished_run / "step_00", run / "step_00")
     assert main(["fit", *tiny_args(run, schedule__rollback="true")]) == 0
     assert trained_with == [False, False, True]
@@ -275,5 +286,5 @@ def test_without_rollback_nothing_is_compared(finished_run):
 @pytest.mark.parametrize("lengths", [[1000], [3, 5, 4], [2, 2]])
 def test_the_floor_has_two_halves_to_compare(lengths):
     """Also where a policy never falls, so that there is one episode."""
-    mask = half(lengths)
+    mask = half_of_episodes(lengths)
     assert len(mask) == sum(lengths) and 0.25 < mask.mean() < 0.75

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from idapt_pl.modules import ActionTransformation
-from idapt_pl.shooting import start_from_matching, windows
+from idapt_pl.stages.trajectory_matching import cut_windows, initialise_by_matching
 from idapt_pl.tasks import make_task
 
 
@@ -60,7 +60,7 @@ def transformed(F, state, action):
 
 
 def test_a_planted_law_is_recovered(F):
-    left = start_from_matching(F, *recorded(lambda s, a: 0.3 * a - 2.0 * s[1], 3e-4), ridge=1.0)
+    left = initialise_by_matching(F, *recorded(lambda s, a: 0.3 * a - 2.0 * s[1], 3e-4), ridge=1.0)
     assert left < 2e-3
     for theta, a in ((0.0, 2.0), (0.1, 0.0), (-0.1, -2.0)):
         assert transformed(F, [0.0, theta, 0.0, 0.0], a) == pytest.approx(0.3 * a - 2.0 * theta, abs=0.05)
@@ -68,13 +68,13 @@ def test_a_planted_law_is_recovered(F):
 
 def test_a_law_of_positions_does_not_use_velocities(F):
     """They would take part in explaining noise; held-out episodes tell that they do not help."""
-    start_from_matching(F, *recorded(lambda s, a: 0.3 * a - 2.0 * s[1], 2e-3), ridge=1.0)
+    initialise_by_matching(F, *recorded(lambda s, a: 0.3 * a - 2.0 * s[1], 2e-3), ridge=1.0)
     assert (F.affine.weight[0, 2:4] == 0).all()
     assert (F.affine.weight[0, [1, 4]] != 0).all()
 
 
 def test_a_law_with_damping_uses_velocities(F):
-    start_from_matching(F, *recorded(lambda s, a: 0.5 * a + 1.0 * s[3], 1e-4), ridge=1.0)
+    initialise_by_matching(F, *recorded(lambda s, a: 0.5 * a + 1.0 * s[3], 1e-4), ridge=1.0)
     assert transformed(F, [0.0, 0.0, 0.0, 1.0], 0.0) == pytest.approx(1.0, abs=0.1)
 
 
@@ -82,23 +82,23 @@ def test_one_long_episode_is_halved(F):
     task, model, states, actions, first = recorded(lambda s, a: 0.3 * a, 1e-4)
     one = first * 0
     inside = np.arange(len(one)) < 12  # the others would follow on from it
-    start_from_matching(F, task, model, states[inside], actions[inside], one[inside], ridge=1.0)
+    initialise_by_matching(F, task, model, states[inside], actions[inside], one[inside], ridge=1.0)
     assert transformed(F, [0.0] * 4, 2.0) == pytest.approx(0.6, abs=0.2)
 
 
 def test_the_identity_is_recovered_where_nothing_is_planted(F):
-    start_from_matching(F, *recorded(lambda s, a: a, 3e-4), ridge=1.0)
+    initialise_by_matching(F, *recorded(lambda s, a: a, 3e-4), ridge=1.0)
     for theta, a in ((0.0, 2.0), (0.1, 0.0), (-0.1, -2.0)):
         assert transformed(F, [0.0, theta, 0.0, 0.0], a) == pytest.approx(a, abs=0.05)
 
 
 def test_windows_do_not_cross_an_episodes_end():
     first = np.array([0, 0, 0, 0, 4, 4, 4, 4, 4])
-    seen = windows(np.arange(9.0)[:, None], np.arange(9.0)[:, None], first, length=3, stride=1)
+    seen = cut_windows(np.arange(9.0)[:, None], np.arange(9.0)[:, None], first, length=3, stride=1)
     assert seen.qpos[:, 0, 0].tolist() == [0, 4, 5]
     assert seen.actions[1, :, 0].tolist() == [4, 5, 6]
 
 
 def test_too_short_episodes_are_refused():
     with pytest.raises(ValueError, match="no episode in the target lasts 5 control steps"):
-        windows(np.zeros((6, 1)), np.zeros((6, 1)), np.array([0, 0, 0, 3, 3, 3]), 5, 1)
+        cut_windows(np.zeros((6, 1)), np.zeros((6, 1)), np.array([0, 0, 0, 3, 3, 3]), 5, 1)

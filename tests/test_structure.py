@@ -44,10 +44,10 @@ def offenders(folder, *forbidden):
         ("idapt_pl/losses.py", ("lightning", "datamodules", "idapt_pl.modules", "idapt_pl.nets")),
         (
             "idapt_pl/modules",
-            ("idapt_pl.envs", "idapt_pl.tasks", "idapt_pl.domains", "idapt_pl.worlds", "idapt_pl.rollout"),
+            ("idapt_pl.envs", "idapt_pl.tasks", "idapt_pl.effects", "idapt_pl.worlds", "idapt_pl.rl"),
         ),
         ("idapt_pl/envs", ("idapt_pl.modules", "lightning", "torch")),
-        ("idapt_pl/domains", ("idapt_pl.tasks", "idapt_pl.envs", "lightning", "torch")),
+        ("idapt_pl/effects", ("idapt_pl.tasks", "idapt_pl.envs", "lightning", "torch")),
     ],
 )
 def test_imports_point_one_way(folder, forbidden):
@@ -71,8 +71,9 @@ def names_used(path):
 def test_only_evaluation_and_references_reach_the_targets_reward():
     users = {str(f.relative_to(ROOT)) for f in FILES if "rewarded_target" in names_used(f)}
     assert users == {
-        "idapt_pl/evaluation.py",
-        "idapt_pl/references.py",
+        "idapt_pl/evaluation/evaluation.py",
+        "idapt_pl/evaluation/paired.py",
+        "idapt_pl/baselines/oracle.py",
         "idapt_pl/worlds.py",
         "cli/evaluate.py",
     }
@@ -80,13 +81,13 @@ def test_only_evaluation_and_references_reach_the_targets_reward():
 
 def test_the_teacher_knows_no_target():
     forbidden = {"rewarded_target", "blind_target", "target_domain", "BlindTarget"}
-    for name in ("teaching.py", "experts.py", "modules/imitation.py"):
+    for name in ("stages/distillation.py", "rl/experts.py", "modules/imitation.py"):
         assert not forbidden & names_used(ROOT / "idapt_pl" / name)
 
 
 def test_what_looks_for_effects_knows_no_target_but_its_recordings():
     forbidden = {"rewarded_target", "blind_target", "target_domain", "BlindTarget", "rewards"}
-    files = [*(ROOT / "idapt_pl/discovery").glob("*.py"), *(ROOT / "idapt_pl").glob("sensing.py")]
+    files = list((ROOT / "idapt_pl/image_diagnosis").glob("*.py"))
     assert len(files) > 4
     assert [f.name for f in files if forbidden & names_used(f)] == []
 

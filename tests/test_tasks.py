@@ -2,13 +2,13 @@
 
 from contextlib import closing
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.domains.differences import differences
-from idapt_pl.domains.effects import ActuatorGain
+import gymnasium
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.effects.differences import differences
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import TASKS, make_task
 

@@ -11,14 +11,21 @@ from conftest import TINY
 from cli.main import main
 from cli.trainers import plain_trainer
 from datamodules import ReplayBuffer, ReplayDataModule
-from idapt_pl import experts
 from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv
-from idapt_pl.experts import ExpertRecipe
-from idapt_pl.ledger import Ledger
+from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
-from idapt_pl.report.record import ORDER
+from idapt_pl.report.run_record import ORDER
+from idapt_pl.rl import experts
 from idapt_pl.stage import Stages
-from idapt_pl.teaching import LESSON, Lessons, Teacher, Teaching, hand_over_critics, label
+from idapt_pl.stages.distillation import (
+    LABELLED,
+    DaggerExperience,
+    Distillation,
+    TeacherSettings,
+    copy_critics,
+    teacher_labels,
+)
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.worlds import Worlds
 
 SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
@@ -44,7 +51,7 @@ def env(cart):
 
 
 def test_labels_are_what_the_teacher_does_on_the_true_states(env, teacher):
-    lessons = Lessons(env, image_policy(encoder="supervised"), teacher, seed=0, fading=5, images=True)
+    lessons = DaggerExperience(env, image_policy(encoder="supervised"), teacher, seed=0, fading=5, images=True)
     for _ in range(8):
         lesson = lessons()
         expected = teacher.act(lesson["state"], deterministic=True)
@@ -58,9 +65,9 @@ def test_the_teacher_acts_first_and_the_student_last(env, teacher, monkeypatch):
     monkeypatch.setattr(student, "act_on", lambda seen: np.full((2, 1), -7.0, np.float32))
     played, step = [], env.step
     monkeypatch.setattr(env, "step", lambda actions: played.append(actions.copy()) or step(actions))
-    lessons = Lessons(env, student, teacher, seed=0, fading=20, images=False)
+    lessons = DaggerExperience(env, student, teacher, seed=0, fading=20, images=False)
     for _ in range(40):
-        assert set(lessons()) == set(LESSON)
+        assert set(lessons()) == set(LABELLED)
     played = np.asarray(played)
     assert (played[0] == 7).all() and (played[21:] == -7).all() and lessons.share == 0
     assert set(np.unique(played[5:15])) == {-7.0, 7.0}, "in between it is either"
@@ -83,10 +90,10 @@ class SameLessons:
 def test_the_student_learns_what_the_teacher_does(env, teacher, trainer, encoder):
     student, images = image_policy(encoder=encoder, lr=1e-2, lr_estimator=1e-2), 2 if encoder == "supervised" else 0
     critics = {k: v.clone() for k, v in student.critic.state_dict().items()}
-    lessons = SameLessons(Lessons(env, student, teacher, 0, 20, images > 0))
+    lessons = SameLessons(DaggerExperience(env, student, teacher, 0, 20, images > 0))
     fit = trainer(100)
     fit.fit(
-        Imitation(student), datamodule=ReplayDataModule(lessons, ReplayBuffer(16, 0), 16, 2, 100, images, 16, LESSON)
+        Imitation(student), datamodule=ReplayDataModule(lessons, ReplayBuffer(16, 0), 16, 2, 100, images, 16, LABELLED)
     )
     names = ["imitation/action_error", "imitation/spread_error"] + ["policy/state_error"] * (images > 0)
     for name in names:
@@ -97,7 +104,7 @@ def test_the_student_learns_what_the_teacher_does(env, teacher, trainer, encoder
 
 def test_critics_handed_over_value_raw_states_as_the_teachers_value_standardised_ones(teacher):
     policy = image_policy()
-    hand_over_critics(teacher, policy)
+    copy_critics(teacher, policy)
     states, actions = torch.tensor([[0.1, -0.5], [0.2, 1.5]]), torch.tensor([[30.0], [-80.0]])
     for name in ("critic", "critic_target"):
         expected = getattr(teacher, name)(teacher.actor.encoder(states), actions)
@@ -107,7 +114,7 @@ def test_critics_handed_over_value_raw_states_as_the_teachers_value_standardised
 
 def test_labels_do_not_depend_on_how_actions_are_scaled(teacher):
     states = np.array([[0.1, -0.5]], np.float32)
-    told = label(teacher, states)
+    told = teacher_labels(teacher, states)
     normal = teacher.actor.distribution(teacher.encode(states))
     assert told["label"] == pytest.approx(torch.tanh(normal.mean).item())
     assert told["label_log_std"] == pytest.approx(normal.stddev.log().item(), abs=1e-6)
@@ -138,7 +145,7 @@ def teaching(cart, tmp_path, monkeypatch):
     monkeypatch.setitem(experts.RECIPES, "cart", recipe)
     worlds = Worlds(cart, cart.domain("source"), cart.domain("hard"), Ledger(tmp_path / "ledger.json"), 16, 2)
     stages = Stages(tmp_path, 0, plain_trainer)
-    return Teaching(worlds, stages, Teacher(20, 20, 20), num_envs=2, batch=8, memory=100)
+    return Distillation(worlds, stages, TeacherSettings(20, 20, 20), num_envs=2, batch=8, memory=100)
 
 
 def test_the_teacher_goes_on_where_the_dynamics_are_new_and_only_there(teaching, tmp_path):
@@ -162,7 +169,7 @@ def test_the_teacher_goes_on_where_the_dynamics_are_new_and_only_there(teaching,
                                              ({"fading": 0.0}, "above 0")])  # fmt: skip
 def test_half_a_teacher_is_refused(wrong, said):
     with pytest.raises(ValueError, match=said):
-        Teacher(**wrong)
+        TeacherSettings(**wrong)
 
 
 # --- in a run -------------------------------------------------------------------------------------------

@@ -10,24 +10,24 @@ import imageio.v3 as iio
 import numpy as np
 
 from datamodules.trajectories import open_trajectory_file
-from idapt_pl.appearance.knobs import Knob
-from idapt_pl.appearance.search import find_looks
-from idapt_pl.domains import WHOLE, Domain, View
+from idapt_pl.appearance.parameters import VisualParameter
+from idapt_pl.appearance.search import find_visual_effects
+from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.tasks import Task
 
 
-def discover_looks(task: Task, source: Domain, target: Path, seed: int, view: View = WHOLE) -> dict:
-    """Find visual effects in a trajectory file of the target. Arguments as for :func:`find_looks`.
+def discover_visual_effects(task: Task, source: Domain, target: Path, seed: int, view: View = WHOLE) -> dict:
+    """Find visual effects in a trajectory file of the target. Arguments as for :func:`find_visual_effects`.
 
     Returns:
         ``effects`` found (a list as in effects.yaml); their ``estimates``, with standard deviations; errors ``before``
         and ``after`` on episodes held out and the noise ``floor``, root mean square, in 8-bit levels; the ``trail`` of
         the search; and the mean pictures of source, repaired source and target as a ``picture``, a PNG in base64.
     """
-    looks = find_looks(task, source, first_frames(target), seed, view)
+    looks = find_visual_effects(task, source, first_frames(target), seed, view)
     spec = source.spec()
 
-    def named(knob: Knob, values: np.ndarray) -> dict[str, float]:
+    def named(knob: VisualParameter, values: np.ndarray) -> dict[str, float]:
         return dict(zip(knob.labels, values.tolist(), strict=True))
 
     return {
@@ -38,7 +38,7 @@ def discover_looks(task: Task, source: Domain, target: Path, seed: int, view: Vi
             for k, v in looks.settings.items()
         ],
         "before": looks.before, "after": looks.after, "floor": looks.floor, "trail": looks.trail,
-        "picture": side_by_side(looks.pictures),
+        "picture": images_in_a_row(looks.pictures),
     }  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def first_frames(path: Path) -> np.ndarray:
         return np.stack([f[name][0] for name in names])
 
 
-def side_by_side(pictures: Sequence[np.ndarray]) -> str:
+def images_in_a_row(pictures: Sequence[np.ndarray]) -> str:
     """Pictures (H, W, 3), 0 to 1, in a row, as a PNG in base64."""
     row = np.rint(255 * np.concatenate(pictures, 1).clip(0, 1)).astype(np.uint8)
     return base64.b64encode(iio.imwrite("<bytes>", row, extension=".png")).decode()

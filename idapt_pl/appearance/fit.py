@@ -10,21 +10,21 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from idapt_pl.appearance.knobs import Knob
-from idapt_pl.appearance.pictures import Average, Settings
+from idapt_pl.appearance.first_frames import MeanImage, ParameterValues
+from idapt_pl.appearance.parameters import VisualParameter
 
 PIXEL = 1 / 255
-ERROR = 2 * PIXEL
+PIXEL_ERROR = 2 * PIXEL
 """What a pixel errs by even where everything is right: rounding, edges."""
 NEIGHBOURS = 9.0
 """Pixels whose errors go together."""
-REACH = 10.0
+FIRST_MOVE = 10.0
 """Noticeable steps that the first move of a search may be long."""
-Render = Callable[[Settings, bool], np.ndarray]
+Render = Callable[[ParameterValues, bool], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Fit:
+class AppearanceFit:
     """Knobs as fitted.
 
     Attributes:
@@ -32,19 +32,19 @@ class Fit:
         spread: knob to the standard deviations of its values, given that all that is wrong is among these knobs.
     """
 
-    values: Settings
-    spread: Settings
+    values: ParameterValues
+    spread: ParameterValues
 
 
-def weights(measured: Average, model_variance: np.ndarray) -> np.ndarray:
+def weights(measured: MeanImage, model_variance: np.ndarray) -> np.ndarray:
     """One over the standard deviation of a pixel's difference, (H, W, 3): what moves between starts counts less."""
-    return 1 / np.sqrt(ERROR**2 + measured.variance + model_variance)
+    return 1 / np.sqrt(PIXEL_ERROR**2 + measured.variance + model_variance)
 
 
-def fit(
-    render: Render, measured: Average, model_variance: np.ndarray, start: Settings,
-    held: Settings, coarse: bool = True, iterations: int = 4,
-) -> Fit:  # fmt: skip
+def fit_parameters(
+    render: Render, measured: MeanImage, model_variance: np.ndarray, start: ParameterValues,
+    held: ParameterValues, coarse: bool = True, iterations: int = 4,
+) -> AppearanceFit:  # fmt: skip
     """Turn knobs until the rendered mean picture is most like the measured one.
 
     Args:
@@ -62,7 +62,7 @@ def fit(
     x = np.clip(np.concatenate([start[k] for k in knobs]), low, high)
     w = weights(measured, model_variance)
 
-    def split(values: np.ndarray) -> dict[Knob, np.ndarray]:
+    def split(values: np.ndarray) -> dict[VisualParameter, np.ndarray]:
         ends = np.cumsum([len(k.nominal) for k in knobs])[:-1]
         return dict(zip(knobs, np.split(values, ends), strict=True))
 
@@ -77,7 +77,7 @@ def fit(
             return finite_differences(partial(residual, few=True), values, step, low, high, central)
 
         most = iterations if level else 3 * iterations
-        return least_squares(residual, start, slopes, (low, high), ftol=1e-3, x_scale=REACH * step, max_nfev=most)
+        return least_squares(residual, start, slopes, (low, high), ftol=1e-3, x_scale=FIRST_MOVE * step, max_nfev=most)
 
     for level in max((k.levels for k in knobs), key=len) if coarse else (0.0,):
         solved = solve(x, level)
@@ -87,7 +87,7 @@ def fit(
     information = slopes_per_step.T @ slopes_per_step / NEIGHBOURS
     scale = max(1.0, float(np.mean(solved.fun**2)))
     spread = np.sqrt(scale * np.diag(np.linalg.pinv(information + 1e-9 * np.eye(len(x))))) * step
-    return Fit(split(x), split(spread))
+    return AppearanceFit(split(x), split(spread))
 
 
 def finite_differences(residual, x, step, low, high, central) -> np.ndarray:

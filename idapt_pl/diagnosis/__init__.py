@@ -1,4 +1,4 @@
-"""Closing the loop with measured data: residual, cause, repaired model."""
+"""Closing the loop with measured states: residual, cause, repaired model."""
 
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 

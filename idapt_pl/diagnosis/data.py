@@ -17,10 +17,10 @@ class UnusableData(ValueError):
     """A recording does not fit the model, or cannot be used; the message says where and why."""
 
 
-LATE = 0.5
+LATEST_VELOCITIES = 0.5
 """Measured velocities that lag the positions by more control periods than this are not used."""
 
-SLOPE = 0.01
+SLOPE_HALF_WIDTH = 0.01
 """Velocities that were not measured are slopes of the positions over about this time to either side [s]."""
 
 START_UP = 0.25
@@ -70,7 +70,7 @@ class Windows:
         return Windows(self.episode[rows], self.start[rows], self.offsets)
 
 
-def recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = True) -> tuple[list[Recording], bool]:
+def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = True) -> tuple[list[Recording], bool]:
     """Episodes as recordings, and whether velocities were measured (else they are slopes of the positions).
 
     Velocities that come late, as from filters or slow registers, count as not measured (unless not ``may_lag``).
@@ -120,7 +120,7 @@ def recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = True) 
         return sloped, False
     shown = [replace(r, qvel=np.asarray(v, float)) for r, (*_, v, _) in zip(sloped, made, strict=True)]
     late = lateness(shown, sloped) if may_lag else 0.0
-    if late > LATE * np.median(np.concatenate([np.diff(r.time) for r in shown])):
+    if late > LATEST_VELOCITIES * np.median(np.concatenate([np.diff(r.time) for r in shown])):
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return sloped, False
     return shown, True
@@ -141,7 +141,9 @@ def lateness(shown: list[Recording], sloped: list[Recording]) -> float:
     return lag if explained > 0.25 else 0.0
 
 
-def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = SLOPE) -> np.ndarray:
+def slopes(
+    model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = SLOPE_HALF_WIDTH
+) -> np.ndarray:
     """Velocities as central slopes of the positions over about ``half_width`` seconds to either side, (T+1, nv)."""
     reach = max(1, round(half_width / float(np.median(np.diff(time)))))
     index = np.arange(len(time))
@@ -155,7 +157,7 @@ def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width
     return out
 
 
-def difference(model: mujoco.MjModel, qpos: np.ndarray, other: np.ndarray) -> np.ndarray:
+def position_difference(model: mujoco.MjModel, qpos: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Other - qpos in the tangent space, (..., nq) to (..., nv)."""
     if model.nq == model.nv:
         return other - qpos
@@ -166,7 +168,7 @@ def difference(model: mujoco.MjModel, qpos: np.ndarray, other: np.ndarray) -> np
     return out.reshape(*np.broadcast_shapes(qpos.shape[:-1], other.shape[:-1]), model.nv)
 
 
-def shift(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> np.ndarray:
+def shift_positions(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Qpos moved by ``by`` (n, nv) in the tangent space."""
     if model.nq == model.nv:
         return qpos + by
@@ -176,7 +178,9 @@ def shift(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> np.ndarray
     return moved
 
 
-def cut(data: list[Recording], episodes: np.ndarray, steps: int, samples: int, limit: int, seed: int) -> Windows:
+def sample_windows(
+    data: list[Recording], episodes: np.ndarray, steps: int, samples: int, limit: int, seed: int
+) -> Windows:
     """At most ``limit`` windows of ``steps`` control steps out of some episodes, not overlapping.
 
     The first steps of an episode are left out where it is long enough: commands from before the

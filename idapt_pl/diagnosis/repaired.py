@@ -10,11 +10,11 @@ from pathlib import Path
 import mujoco
 
 from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.domains.effects import Effect
+from idapt_pl.effects.base import Effect
 
 
 @dataclass(frozen=True)
-class Repaired:
+class RepairedModel:
     """A model before and after.
 
     Attributes:
@@ -36,20 +36,20 @@ class Repaired:
         )
 
 
-def repair(nominal: mujoco.MjSpec, effects: Effects, folder: Path) -> Repaired:
+def repair_model(nominal: mujoco.MjSpec, effects: Effects, folder: Path) -> RepairedModel:
     """Write effects into a model that will lie in ``folder``."""
     spec, unsaid = nominal.copy(), []
-    before = last = written(spec, folder)
+    before = last = model_as_mjcf(spec, folder)
     for effect in effects:
         effect.apply(spec)
-        now = written(spec, folder)
+        now = model_as_mjcf(spec, folder)
         if now == last:
             unsaid.append(effect)
         last = now
-    return Repaired(before, last, tuple(unsaid))
+    return RepairedModel(before, last, tuple(unsaid))
 
 
-def written(spec: mujoco.MjSpec, folder: Path) -> str:
+def model_as_mjcf(spec: mujoco.MjSpec, folder: Path) -> str:
     """The MJCF of a model that will lie in ``folder``."""
     twin = spec.copy()
     move_assets(twin, folder)

@@ -6,36 +6,36 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from idapt_pl.diagnosis.library import Candidate
+from idapt_pl.diagnosis.search_state import Search, Trial, WhitenedWindows
 from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.diagnosis.state import Search, Split, Tried
-from idapt_pl.diagnosis.statistics import HUBER
-from idapt_pl.diagnosis.words import number
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.wording import format_number
+from idapt_pl.estimation.least_squares import HUBER
 
-STEP = 0.05
+DERIVATIVE_STEP = 0.05
 """How slightly: share of a candidate's scale."""
 
 
-def screening(search: Search, round: int) -> list[Tried]:
+def screen_candidates(search: Search, round: int) -> list[Trial]:
     """Score all candidates on few windows and the best again on more; best first."""
-    scout, known = Screen(search, search.scout, search.sketch), {(c.label, c.names) for c in search.accepted}
+    scout, known = ScoreTest(search, search.scout, search.sketch), {(c.label, c.names) for c in search.accepted}
     tried = [scout.score(c, c.starts, round) for c in search.candidates if (c.label, c.names) not in known]
-    tried.sort(key=lambda t: -value(t))
+    tried.sort(key=lambda t: -penalised_score(t))
     best, rest = tried[: search.settings.screened], tried[search.settings.screened :]
-    screen = Screen(search, search.screen, search.z)
+    screen = ScoreTest(search, search.screen, search.z)
     best = [screen.score(t.candidate, t.x, round) for t in best]
     ratio = len(search.screen.windows) / len(search.scout.windows)
     for t in rest:
         t.score *= ratio
-    return sorted(best, key=lambda t: -value(t)) + rest
+    return sorted(best, key=lambda t: -penalised_score(t)) + rest
 
 
-def value(t: Tried) -> float:
+def penalised_score(t: Trial) -> float:
     """What ranks a candidate: its score, less what as many parameters would gain by chance."""
     return t.score - 2 * t.candidate.size
 
 
-def shortlist(ranked: list[Tried], size: int) -> list[Tried]:
+def shortlist(ranked: list[Trial], size: int) -> list[Trial]:
     """The best ``size``, and the best of every other kind that scores a tenth of it: scores are only linear."""
     chosen = [t for t in ranked[:size] if not t.rejected_because]
     kinds = {t.candidate.kind for t in chosen}
@@ -46,10 +46,12 @@ def shortlist(ranked: list[Tried], size: int) -> list[Tried]:
     return chosen
 
 
-class Screen:
+class ScoreTest:
     """Scores on one split: the Lagrange-multiplier test, after projecting out what is accepted."""
 
-    def __init__(self, search: Search, split: Split, predict: Callable[[Split, Effects], np.ndarray]) -> None:
+    def __init__(
+        self, search: Search, split: WhitenedWindows, predict: Callable[[WhitenedWindows, Effects], np.ndarray]
+    ) -> None:
         self.search, self.predict = search, lambda e: predict(split, e)
         z, self.base = search.z(split, search.effects), self.predict(search.effects)
         self.root = np.sqrt(1.0 / np.maximum(1.0, np.abs(z.ravel()) / HUBER))[:, None]
@@ -72,13 +74,13 @@ class Screen:
             own = len(self.search.fixed) + accepted
             effects = effects[:own] + effects[own + 1 :]
         for k in range(c.size):
-            moved, sign = np.array(x, float), 1.0 if x[k] + STEP * c.scale[k] <= high[k] else -1.0
-            moved[k] += sign * STEP * c.scale[k]
+            moved, sign = np.array(x, float), 1.0 if x[k] + DERIVATIVE_STEP * c.scale[k] <= high[k] else -1.0
+            moved[k] += sign * DERIVATIVE_STEP * c.scale[k]
             z = self.predict((*effects, c.effect(moved)))
-            columns.append((z - self.base).ravel() / (sign * STEP))
+            columns.append((z - self.base).ravel() / (sign * DERIVATIVE_STEP))
         return np.stack(columns, 1)
 
-    def score(self, c: Candidate, starts: Sequence[np.ndarray], round: int) -> Tried:
+    def score(self, c: Candidate, starts: Sequence[np.ndarray], round: int) -> Trial:
         """The better of a linear step from nominal and of the given places to start a fit from."""
         nominal = np.array(c.nominal)
         D = self.clear(self.derivative(c, nominal))
@@ -92,14 +94,14 @@ class Screen:
             removed = self.total - float(np.square(self.left + secant).sum())
             if size > 1e-12 and removed > gain:
                 gain, x = removed, np.array(s, float)
-        return Tried(c, round, gain / self.variance, (x,), rejected_because=self.objection(c, gain, norm))
+        return Trial(c, round, gain / self.variance, (x,), rejected_because=self.objection(c, gain, norm))
 
     def objection(self, c: Candidate, gain: float, norm: np.ndarray) -> str:
         """Why a score is not worth a refit, or nothing. ``norm``: of what a change by the scale does, in sigma."""
         z, score = self.search.settings.z, gain / self.variance
         if (10 * norm < z).all():
             k = int(np.argmax(norm))
-            change = f"{number(z * c.scale[k] / norm[k])} {c.units()[k]}" if norm[k] > 1e-9 else "any size"
+            change = f"{format_number(z * c.scale[k] / norm[k])} {c.units()[k]}" if norm[k] > 1e-9 else "any size"
             return f"not excited by these recordings: a change of its {c.names[k]} by {change} would go unseen"
         return f"score {score:.1f} is what noise alone gives" if score < z**2 + 2 * c.size else ""
 

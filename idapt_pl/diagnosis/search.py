@@ -12,20 +12,22 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.confirming import accept, confirm
-from idapt_pl.diagnosis.data import Recording, Windows, recordings
-from idapt_pl.diagnosis.integration import retest_numerics
-from idapt_pl.diagnosis.library import Candidate, library, surroundings
+from idapt_pl.diagnosis.acceptance import accept, confirm
+from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
+from idapt_pl.diagnosis.data import Recording, Windows, as_recordings
 from idapt_pl.diagnosis.model import name_elements
-from idapt_pl.diagnosis.revision import prune, swap
-from idapt_pl.diagnosis.screening import screening, shortlist
+from idapt_pl.diagnosis.noise import Noise
+from idapt_pl.diagnosis.numerics import retest_numerics
+from idapt_pl.diagnosis.revision import eliminate_needless, swap_for_rivals
+from idapt_pl.diagnosis.screening import screen_candidates, shortlist
+from idapt_pl.diagnosis.search_state import Progress, Search, SearchSettings, Trial
 from idapt_pl.diagnosis.simulator import Effects, Simulator
-from idapt_pl.diagnosis.state import Progress, Search, Settings, Tried
-from idapt_pl.diagnosis.statistics import Noise, covariance, unknown_variance
-from idapt_pl.diagnosis.verdict import judge
-from idapt_pl.domains.paths import ActuatorDelay, ActuatorLag
+from idapt_pl.diagnosis.verdict import build_report
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
+from idapt_pl.estimation.intervals import covariance, unknown_variance
 
-USUAL = Settings()
+DEFAULT_SETTINGS = SearchSettings()
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Diagnosis:
     declared: Effects
     sim: Simulator
     held_out: Windows
-    tried: list[Tried]
+    tried: list[Trial]
 
     @property
     def verdict(self) -> str:
@@ -53,7 +55,7 @@ def diagnose(
     hold_out: Sequence[int] | None = None,
     candidates: Sequence[str] | None = None,
     seed: int = 0,
-    settings: Settings = USUAL,
+    settings: SearchSettings = DEFAULT_SETTINGS,
     progress: Progress = lambda what, share: None,
     threads: int | None = None,
     unmeasured: Sequence[str] = (),
@@ -82,31 +84,31 @@ def diagnose(
         ValueError: an unknown candidate or episode.
     """
     started = time.perf_counter()
-    search = begin(
+    search = begin_search(
         model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured, noise
     )
-    tried = run(search)
+    tried = run_search(search)
     progress("judging", 0.95)
-    report = judge(search, tried)
+    report = build_report(search, tried)
     report["runtime_s"] = round(time.perf_counter() - started, 2)
     progress("done", 1.0)
     return Diagnosis(report, search.effects, search.declared, search.sim, search.held_out.windows, tried)
 
 
-def begin(
+def begin_search(
     model: mujoco.MjSpec, trajectories: Trajectories, declared: Sequence = (), fit: Sequence[int] | None = None,
     hold_out: Sequence[int] | None = None, candidates: Sequence[str] | None = None, seed: int = 0,
-    settings: Settings = USUAL, progress: Progress = lambda what, share: None, threads: int | None = None,
+    settings: SearchSettings = DEFAULT_SETTINGS, progress: Progress = lambda what, share: None, threads: int | None = None,
     unmeasured: Sequence[str] = (), noise: Noise | None = None,
 ) -> Search:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
     model = name_elements(model.copy())
-    data, velocities = recordings(model.copy().compile(), trajectories, may_lag=noise is None)
+    data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
     fit, hold_out = split_episodes(activity(data), fit, hold_out)
     sim = Simulator(model, data, velocities, threads, unmeasured)
 
     def considered(horizon: float) -> list[Candidate]:
-        return choose(library(model, surroundings(sim.model, data, horizon)), candidates)
+        return choose_candidates(all_candidates(model, typical_sizes(sim.model, data, horizon)), candidates)
 
     return Search(sim, tuple(declared), fit, hold_out, considered, seed, settings, progress, noise)
 
@@ -143,7 +145,7 @@ def split_episodes(
     return fit, hold_out
 
 
-def choose(found: list[Candidate], names: Sequence[str] | None) -> list[Candidate]:
+def choose_candidates(found: list[Candidate], names: Sequence[str] | None) -> list[Candidate]:
     """The candidates with these effect names (all for None)."""
     if names is None:
         return found
@@ -153,14 +155,14 @@ def choose(found: list[Candidate], names: Sequence[str] | None) -> list[Candidat
     return [c for c in found if c.kind.name in names]
 
 
-def run(search: Search) -> list[Tried]:
+def run_search(search: Search) -> list[Trial]:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
-    tried: list[Tried] = []
+    tried: list[Trial] = []
     retest_numerics(search)
     for k in range(search.settings.max_effects):
         share = 0.1 + 0.8 * k / search.settings.max_effects
         search.progress(f"round {k + 1}: screening", share)
-        ranked = screening(search, k)
+        ranked = screen_candidates(search, k)
         search.progress(f"round {k + 1}: confirming", share + 0.06)
         chosen = shortlist(ranked, search.settings.confirm)
         for t in ranked:
@@ -172,13 +174,13 @@ def run(search: Search) -> list[Tried]:
         search.renew()
         search.settle()
         retest_numerics(search)
-    swap(search)
-    prune(search)
-    measure(search)
+    swap_for_rivals(search)
+    eliminate_needless(search)
+    measure_intervals(search)
     return tried
 
 
-def measure(search: Search) -> None:
+def measure_intervals(search: Search) -> None:
     """Fit once more, without shortcuts, and put intervals on the estimates."""
     if not search.found:
         return

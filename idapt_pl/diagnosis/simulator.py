@@ -11,10 +11,12 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from idapt_pl.diagnosis.data import Recording, Windows, difference, shift
-from idapt_pl.diagnosis.play import Play
-from idapt_pl.domains.effects import PLAY, Effect
-from idapt_pl.domains.paths import Command, CommandEffect, ExternalForce, ForceEffect, Law, SensingEffect
+from idapt_pl.diagnosis.backlash import BacklashCoordinates
+from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.joints import PLAY_SUFFIX
+from idapt_pl.effects.runtime import Command, CommandEffect, ForceEffect, RuntimeEffect, SensingEffect
+from idapt_pl.effects.world import ExternalForce
 
 Effects = tuple[Effect, ...]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -22,10 +24,10 @@ COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
 
-SETTLING = 8
+SETTLING_SAMPLES = 8
 """Samples before a window from which it is found out where in their play joints are."""
 
-HELD = 1e-3
+FORCE_HOLD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
 
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
@@ -34,7 +36,7 @@ _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.
 
 
 @contextmanager
-def silence():
+def silence_mujoco():
     """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(_SILENCE)
@@ -89,13 +91,13 @@ class Simulator:
 
     def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
         """The model and room to simulate it, for each thread; the last few are kept."""
-        said = tuple(e for e in effects if not outside_model(e))
+        said = tuple(e for e in effects if not acts_outside_model(e))
         if said not in self._compiled:
             if len(self._compiled) >= 8:
                 self._compiled.pop(next(iter(self._compiled)))
             spec = self.spec.copy()
             for effect in said:
-                effect.constrain(spec) if isinstance(effect, Law) else effect.apply(spec)
+                effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
             model = spec.compile()
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
@@ -110,7 +112,7 @@ class Simulator:
         """
         measured_q, measured_v = self._measured(windows, windows.offsets)
         qpos, qvel = self.predict(effects, windows, nudge)
-        parts = [difference(self.model, qpos, measured_q)]
+        parts = [position_difference(self.model, qpos, measured_q)]
         if self.velocities:
             parts.append(measured_v - qvel)
         return np.nan_to_num(np.concatenate(parts, -1), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
@@ -124,7 +126,7 @@ class Simulator:
         qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
         if nudge is not None:
             nv = self.model.nv
-            qpos, qvel = shift(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
+            qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
         sensing = [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
         for effect, joints in reversed(sensing):
             qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
@@ -132,11 +134,11 @@ class Simulator:
         ends = times[:, windows.offsets] - times[:, :1]
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
         controls = self._controls(effects, windows, steps, model.opt.timestep)
-        play = Play(self.model, model)
-        with silence():
+        play = BacklashCoordinates(self.model, model)
+        with silence_mujoco():
             loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
             states = self._roll(model, data, effects, times[:, 0], *play.expand(qpos, qvel, loose), controls)
-        qpos, qvel = play.contract(*read_off(model, states, ends))
+        qpos, qvel = play.contract(*interpolate_states(model, states, ends))
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
@@ -158,16 +160,16 @@ class Simulator:
         return self._samples[key]
 
     def _joints(self, m: mujoco.MjModel, target: str) -> list[int]:
-        scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY)]
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY_SUFFIX)]
         return [j for j in scalar if target in ("*", m.joint(j).name)]
 
-    def _settle(self, play: Play, model, data, effects: Effects, windows: Windows) -> np.ndarray:
+    def _settle(self, play: BacklashCoordinates, model, data, effects: Effects, windows: Windows) -> np.ndarray:
         """Where in their play joints are when windows begin, positions and velocities: (n, 2, joints with play).
 
         Nothing measures it. So the samples before are gone through: the link is put where it was measured at each of
         them, and what the motor does meanwhile decides which flank it rests on.
         """
-        before = np.minimum(windows.start, SETTLING)
+        before = np.minimum(windows.start, SETTLING_SAMPLES)
         early = Windows(windows.episode, windows.start - before, np.zeros(1, int))
         per_sample = max(1, round(float(np.median(np.diff(self._times(windows)))) / model.opt.timestep))
         controls = self._controls(effects, early, int(before.max(initial=0)) * per_sample, model.opt.timestep)
@@ -227,7 +229,7 @@ class Simulator:
         if not forces:
             states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        states, held = [start], max(1, int(HELD / model.opt.timestep + 1e-6))
+        states, held = [start], max(1, int(FORCE_HOLD / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):
             commands = controls[:, k : k + held]
             applied = np.repeat(self._forces(model, forces, states[-1])[:, None], commands.shape[1], 1)
@@ -255,12 +257,12 @@ class Simulator:
         return np.concatenate([joint, body.reshape(len(state), -1)], 1)
 
 
-def outside_model(effect: Effect) -> bool:
+def acts_outside_model(effect: Effect) -> bool:
     """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
-    return isinstance(effect, Law) and not effect.constrains
+    return isinstance(effect, RuntimeEffect) and not effect.constrains
 
 
-def read_off(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolate_states(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities at times after the first state, by cubic Hermite between steps.
 
     Args:

@@ -5,23 +5,24 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.data import cut
-from idapt_pl.diagnosis.screening import Screen
-from idapt_pl.diagnosis.state import Found, Search, Tried
-from idapt_pl.diagnosis.statistics import effects_of, window_loss
-from idapt_pl.diagnosis.words import unit_at
-from idapt_pl.domains.effects import Effect, Numerics
-from idapt_pl.domains.paths import ActuatorDelay
+from idapt_pl.diagnosis.data import sample_windows
+from idapt_pl.diagnosis.screening import ScoreTest
+from idapt_pl.diagnosis.search_state import AcceptedEffect, Search, Trial
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.signals import ActuatorDelay
+from idapt_pl.effects.wording import unit_at
+from idapt_pl.effects.world import Numerics
+from idapt_pl.estimation.least_squares import effects_of, robust_loss
 
 
-def judge(search: Search, tried: list[Tried]) -> dict:
+def build_report(search: Search, tried: list[Trial]) -> dict:
     """The report: verdict, errors on held-out episodes before and after, effects, candidates, signature."""
     sim = search.sim
     nominal, final = (search.z(search.held_out, e) for e in (search.declared, search.effects))
-    before, after = (float(np.sqrt(window_loss(z).mean())) for z in (nominal, final))
+    before, after = (float(np.sqrt(robust_loss(z).mean())) for z in (nominal, final))
     removable_before = black_box(search, search.declared, nominal)
     removable = black_box(search, search.effects, final)
-    verdict = decide(search, before, after, window_loss(final), removable)
+    verdict = decide(search, before, after, robust_loss(final), removable)
     physical = {
         "before": rms(sim.residual(search.declared, search.held_out.windows)),
         "after": rms(sim.residual(search.effects, search.held_out.windows)),
@@ -39,10 +40,10 @@ def judge(search: Search, tried: list[Tried]) -> dict:
             "horizon_s": round(search.horizon, 6),
             "before": round(before, 4),
             "after": round(after, 4),
-            "median_after": round(float(np.sqrt(np.median(window_loss(final)))), 4),
+            "median_after": round(float(np.sqrt(np.median(robust_loss(final)))), 4),
             "noise_floor": 1.0,
             "ceiling": round(float(np.sqrt(max(1.0 - max(removable_before, 0.0), 0.0))) * before, 4),
-            "removed_share": round(share(before, after), 4),
+            "removed_share": round(removed_share(before, after), 4),
             "black_box_could_still_remove": round(max(removable, 0.0), 4),
             "per_channel": {
                 name: {
@@ -52,23 +53,29 @@ def judge(search: Search, tried: list[Tried]) -> dict:
                     "unit": unit,
                 }
                 for name, b, a, n, unit, compared in zip(
-                    sim.channels, physical["before"], physical["after"], sensors, units(sim), sim.compared, strict=True
+                    sim.channels,
+                    physical["before"],
+                    physical["after"],
+                    sensors,
+                    channel_units(sim),
+                    sim.compared,
+                    strict=True,
                 )
                 if compared
             },
         },
-        "effects": [describe(f, search) for f in search.found]
-        + [numerical(e, sim.model) for e in search.fixed if e.name == "numerics" and e not in search.declared],
+        "effects": [describe_accepted(f, search) for f in search.found]
+        + [describe_numerics(e, sim.model) for e in search.fixed if e.name == "numerics" and e not in search.declared],
         "declared": [e.to_dict() for e in search.declared],
-        "candidates": [candidate(t) for t in sorted(tried, key=lambda t: (t.round, -t.score)) if t.rejected_because][
-            :200
-        ],
-        "signature": signature(search, final) if verdict == "unexplained_residual" else "",
+        "candidates": [
+            describe_candidate(t) for t in sorted(tried, key=lambda t: (t.round, -t.score)) if t.rejected_because
+        ][:200],
+        "signature": residual_signature(search, final) if verdict == "unexplained_residual" else "",
         "next_experiment": advice(search, verdict),
     }
 
 
-def share(before: float, after: float) -> float:
+def removed_share(before: float, after: float) -> float:
     """Share of the removable squared error that was removed; 0 where there was none."""
     return float(np.clip((before**2 - after**2) / max(before**2 - 1.0, 1e-9), -1.0, 1.0)) if before > 1.02 else 0.0
 
@@ -78,7 +85,7 @@ def rms(residual: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(residual).mean((0, 1)))
 
 
-def units(sim) -> list[str]:
+def channel_units(sim) -> list[str]:
     """Units of the channels."""
     m, out = sim.model, []
     for j in range(m.njnt):
@@ -99,7 +106,7 @@ def decide(search: Search, before: float, after: float, losses: np.ndarray, remo
     floor = FLOOR if search.sim.velocities else SLOPED_FLOOR
     left_over = after**2 > floor and (median_after > 1.5 or upper > UNPREDICTABLE[1] or removable > 0.25)
     if search.found:
-        poor = share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0 or upper > UNPREDICTABLE[1]
+        poor = removed_share(before, after) < 0.75 or removable > 0.3 or median_after > 2.0 or upper > UNPREDICTABLE[1]
         return "unexplained_residual" if left_over and poor else "effects_found"
     if left_over and (removable > 0.1 or median_after > UNPREDICTABLE[0] or upper > UNPREDICTABLE[1]):
         return "unexplained_residual"
@@ -112,14 +119,14 @@ def too_quiet(search: Search) -> bool:
     wanted = wanted or [c for c in search.candidates if c.kind.name == "body_mass"]
     if not wanted:
         return False
-    screen, limits = Screen(search, search.screen, search.z), []
+    screen, limits = ScoreTest(search, search.screen, search.z), []
     for c in wanted:
         D = screen.derivative(c, np.array(c.nominal))
         limits.append(search.settings.z * c.scale[0] / max(float(np.linalg.norm(D)), 1e-12) / c.nominal[0])
     return float(np.median(limits)) > 0.5
 
 
-def features(search: Search, windows) -> np.ndarray:
+def black_box_features(search: Search, windows) -> np.ndarray:
     """What a black box may know of a window: first state and mean commands, with squares and signs."""
     rows = []
     for e, s in zip(windows.episode, windows.start, strict=True):
@@ -145,7 +152,7 @@ def black_box(search: Search, effects: tuple[Effect, ...], z_held: np.ndarray) -
     windows = type(search.fit.windows)(
         np.concatenate([search.fit.windows.episode, search.held_out.windows.episode]), both, search.fit.windows.offsets
     )
-    X = features(search, windows)
+    X = black_box_features(search, windows)
     A, B = X[: len(z_fit)], X[len(z_fit) :]
     target, left = np.clip(z_fit, -6, 6), np.clip(z_held, -6, 6)
     scores = []
@@ -158,7 +165,7 @@ def black_box(search: Search, effects: tuple[Effect, ...], z_held: np.ndarray) -
     return float(max(scores))
 
 
-def describe(f: Found, search: Search) -> dict:
+def describe_accepted(f: AcceptedEffect, search: Search) -> dict:
     """One accepted effect in the words of report.json."""
     without = [g for g in search.found if g is not f]
     rest = effects_of([g.candidate for g in without], [g.x for g in without])
@@ -194,7 +201,7 @@ def describe(f: Found, search: Search) -> dict:
     }
 
 
-def inseparable(f: Found, search: Search) -> list[dict]:
+def inseparable(f: AcceptedEffect, search: Search) -> list[dict]:
     """What is the same as an effect by construction, whatever the data."""
     if f.candidate.kind is not ActuatorDelay or not (f.candidate.target == "*" or search.sim.model.nu == 1):
         return []
@@ -202,7 +209,7 @@ def inseparable(f: Found, search: Search) -> list[dict]:
     return [{"effect": "sensor_delay", "target": "*", "parameters": {"delay": float(f"{f.x[0]:.6g}")}, "why": why}]
 
 
-def numerical(effect: Numerics, model: mujoco.MjModel) -> dict:
+def describe_numerics(effect: Numerics, model: mujoco.MjModel) -> dict:
     """Numerics as an effect of the report: discrete, so without intervals; only what differs is listed."""
     integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
     rows = [
@@ -217,7 +224,7 @@ def numerical(effect: Numerics, model: mujoco.MjModel) -> dict:
     return {"effect": "numerics", "target": "world", "parameters": parameters, "error_after": None, "equivalent": []}
 
 
-def candidate(t: Tried) -> dict:
+def describe_candidate(t: Trial) -> dict:
     """One candidate that was not accepted."""
     gain = None if np.isnan(t.gain) else float(f"{t.gain:.4g}")
     return {
@@ -232,7 +239,7 @@ def candidate(t: Tried) -> dict:
     }
 
 
-def signature(search: Search, z: np.ndarray) -> str:
+def residual_signature(search: Search, z: np.ndarray) -> str:
     """What an unexplained residual looks like: which channel, and what it goes along with."""
     sim = search.sim
     by_channel = np.zeros(len(sim.channels))
@@ -252,7 +259,7 @@ def signature(search: Search, z: np.ndarray) -> str:
     for i in range(sim.model.nu):
         u = np.array([r.actions[s, i] for r, s in at])
         signals |= {f"u({i})": u, f"u|u|({i})": u * np.abs(u), f"sign u({i})": np.sign(u)}
-    scored = sorted(((alike(x, residual), name) for name, x in signals.items()), key=lambda c: -abs(c[0]))
+    scored = sorted(((correlation(x, residual), name) for name, x in signals.items()), key=lambda c: -abs(c[0]))
     period = dominant_period(search, worst)
     return (
         f"largest in {sim.channels[worst]} ({np.sqrt(by_channel[worst]):.2g} sigma); goes along with "
@@ -262,7 +269,7 @@ def signature(search: Search, z: np.ndarray) -> str:
     )
 
 
-def alike(signal: np.ndarray, residual: np.ndarray) -> float:
+def correlation(signal: np.ndarray, residual: np.ndarray) -> float:
     """Correlation, -1 to 1; with a constant, the residual's mean as a share of its rms."""
     if np.ptp(signal) < 1e-12:
         return float(residual.mean() / max(np.sqrt(np.square(residual).mean()), 1e-300) * np.sign(signal[0]))
@@ -275,7 +282,7 @@ def dominant_period(search: Search, channel: int) -> float | None:
     """Period of a residual that repeats in time, from consecutive windows of the longest held-out episode."""
     sim = search.sim
     e = max(search.held_out_episodes, key=lambda i: len(sim.data[i]))
-    windows = cut(sim.data, np.array([e]), search.steps, 5, 10**6, 0)
+    windows = sample_windows(sim.data, np.array([e]), search.steps, 5, 10**6, 0)
     if len(windows) < 16:
         return None
     r = sim.residual(search.effects, windows)[:, -1, channel]
@@ -304,7 +311,7 @@ def advice(search: Search, verdict: str) -> str:
     return ""
 
 
-def separating(search: Search, f: Found) -> str:
+def separating(search: Search, f: AcceptedEffect) -> str:
     """The recorded window on which two indistinguishable explanations disagree most: do more of that."""
     t = f.equivalent[0]
     others = tuple(g.candidate.effect(g.x) for g in search.found if g is not f)

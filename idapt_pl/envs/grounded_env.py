@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import gymnasium
 import numpy as np
+
+import gymnasium
 
 Translate = Callable[[np.ndarray], np.ndarray]
 """G: uint8 (n, k, H, W, 3) source frames to uint8 target-style frames of the same shape."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from idapt_pl.domains import WHOLE, Domain, View
-from idapt_pl.domains.parallel import ParallelRenderer
+import gymnasium
+from gymnasium.vector import AutoresetMode
+from idapt_pl.effects import WHOLE, Domain, View
+from idapt_pl.rendering.parallel import ParallelRenderer
 from idapt_pl.tasks import Task
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import gymnasium
 import numpy as np
 
-from idapt_pl.ledger import Ledger
+import gymnasium
+from idapt_pl.envs.ledger import Ledger
 
 
 class BlindTarget(gymnasium.vector.VectorWrapper):

@@ -10,7 +10,7 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from idapt_pl.losses import gail_reward, generalized_advantage, gradient_penalty, ppo_clip
-from idapt_pl.modules.training import ManualModule
+from idapt_pl.modules.manual import ManualModule
 from idapt_pl.nets.mlp import mlp
 
 

@@ -6,8 +6,8 @@ import torch
 import torch.nn.functional as nnf
 from torch import Tensor
 
+from idapt_pl.modules.manual import ManualModule
 from idapt_pl.modules.policy import AsymmetricSAC, unstack
-from idapt_pl.modules.training import ManualModule
 
 
 class Imitation(ManualModule):

@@ -12,8 +12,8 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target, squashed_log_prob
-from idapt_pl.misperception import Faithful, Misperception
-from idapt_pl.modules.training import ManualModule, fast_precision
+from idapt_pl.modules.manual import ManualModule, fast_precision
+from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNoise
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision, orthogonal_init
 from idapt_pl.nets.images import jitter, stack_channels
@@ -101,7 +101,7 @@ class AsymmetricSAC(ManualModule):
         lr_estimator: with ``supervised``, Adam.
         estimator_jitter: with ``supervised``, how much contrast, brightness and noise of images vary in the regression.
         misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
-            estimates have while training, new ones in every episode (:class:`~idapt_pl.misperception.Misperception`).
+            estimates have while training, new ones in every episode (:class:`~idapt_pl.modules.observation_noise.ObservationNoise`).
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
@@ -186,11 +186,11 @@ class AsymmetricSAC(ManualModule):
             return {"observation": pixels}
         return {"observation": self.encode(pixels).cpu().numpy(), "pixels": pixels}
 
-    def perception(self, num_envs: int, seed: int) -> Faithful:
+    def perception(self, num_envs: int, seed: int) -> NoObservationNoise:
         """What becomes of f(o) on its way to the policy while it trains in ``num_envs`` simulations."""
         if self.hparams.encoder == "learned" or not self.hparams.misperception:
-            return Faithful()
-        return Misperception(self.actor.encoder, num_envs, self.hparams.misperception, seed)
+            return NoObservationNoise()
+        return ObservationNoise(self.actor.encoder, num_envs, self.hparams.misperception, seed)
 
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:

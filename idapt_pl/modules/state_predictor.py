@@ -6,7 +6,7 @@ import lightning as L
 import torch
 from torch import Tensor
 
-from idapt_pl.modules.training import fast_precision
+from idapt_pl.modules.manual import fast_precision
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import stack_channels
 

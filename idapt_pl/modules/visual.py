@@ -19,7 +19,7 @@ from torchvision.utils import make_grid
 
 from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
-from idapt_pl.modules.training import ManualModule, fast_precision
+from idapt_pl.modules.manual import ManualModule, fast_precision
 from idapt_pl.nets.contrastive import PatchProjector
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.nets.images import height_width, jitter, mean_images, stack_channels, to_float, to_pixels

@@ -1,5 +1,1 @@
-"""A run as one HTML page: what each grounding step did, from what the run folder holds."""
-
-from idapt_pl.report.page import write_report
-
-__all__ = ["write_report"]
+"""Runs and diagnoses as HTML pages, by one kit (:mod:`idapt_pl.report.html`)."""

@@ -8,10 +8,10 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains import Domain
-from idapt_pl.domains.looks import CAMERA, CameraFrame, CameraPose, Color, Light, Material
-from idapt_pl.domains.packaged import packaged_file
-from idapt_pl.domains.paths import ActuatorBias, ActuatorRotation
+from idapt_pl.effects import Domain
+from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
+from idapt_pl.effects.packaged import packaged_file
+from idapt_pl.effects.visual import CAMERA, CameraFrame, CameraPose, Color, Light, Material
 from idapt_pl.tasks.indoors import indoors
 from idapt_pl.tasks.task import Task
 

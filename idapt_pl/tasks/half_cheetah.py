@@ -5,9 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.domains import Domain
-from idapt_pl.domains.effects import Effect, JointArmature
-from idapt_pl.domains.looks import CAMERA, CameraFrame, Color, Light, Texture
+from idapt_pl.effects import Domain
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.joints import JointArmature
+from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.locomotion import DM_CONTROL_LOOK, Locomotion
 
 JOINTS = ("bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot")

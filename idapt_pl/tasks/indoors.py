@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from idapt_pl.domains.effects import Effect
-from idapt_pl.domains.looks import Light, Material, Renderer, Scenery
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.visual import Light, Material, Renderer, Scenery
 
 
 def indoors(robot: tuple[float, float, float], other_lamps: tuple[str, ...] = ()) -> tuple[Effect, ...]:

@@ -8,9 +8,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains.domain import Domain
-from idapt_pl.domains.effects import BodyMass
-from idapt_pl.domains.looks import CAMERA, CameraPose, Color, Light, Texture
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.domain import Domain
+from idapt_pl.effects.visual import CAMERA, CameraPose, Color, Light, Texture
 from idapt_pl.tasks.task import Task
 
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains.effects import Effect
-from idapt_pl.domains.looks import CAMERA, Light, Material, Texture
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.visual import CAMERA, Light, Material, Texture
 from idapt_pl.tasks.task import Task
 
 

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains import Domain
-from idapt_pl.domains.effects import BodyMass
-from idapt_pl.domains.looks import CAMERA, CameraFrame, Color, Light, Texture
-from idapt_pl.domains.packaged import packaged_file
+from idapt_pl.effects import Domain
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.packaged import packaged_file
+from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.indoors import indoors
 from idapt_pl.tasks.task import Task
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.domains import Domain
+from idapt_pl.effects import Domain
 
 
 class Task(ABC):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.domains import Domain
-from idapt_pl.domains.effects import BodyMass
-from idapt_pl.domains.looks import CAMERA, CameraFrame, Color, Light, Texture
+from idapt_pl.effects import Domain
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.locomotion import DM_CONTROL_LOOK, Locomotion
 
 

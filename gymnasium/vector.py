@@ -1,0 +1,7 @@
+"""None"""
+
+from __future__ import annotations
+
+import gymnasium
+
+VectorEnv = gymnasium.vector.VectorEnv

@@ -1,0 +1,1 @@
+"""References and baselines that the method is compared with."""

@@ -1,0 +1,117 @@
+"""Effects: named, typed edits of an MJCF model, the one vocabulary for differences between worlds.
+
+An effect says *what* is different (``body_mass``), *where* (``pole``) and *by how much*
+(``mass: 200`` kg). A benchmark's target domain, a randomisation range, a diagnosis and a repaired
+model are all lists of effects. As YAML::
+
+    - effect: body_mass
+      target: pole
+      parameters: {mass: 200.0}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+EFFECTS: dict[str, type[Effect]] = {}
+
+
+def parameter(unit: str, low: float, high: float, **default: Any) -> Any:
+    """Declare one parameter of an effect: its SI unit and its physical bounds (inclusive)."""
+    return field(metadata={"unit": unit, "low": low, "high": high}, **default)
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """One edit of an ``mujoco.MjSpec``; subclasses are registered under ``name``.
+
+    Attributes:
+        target: MJCF name of the element edited, or ``"*"`` for all elements of that kind; of joints also
+            ``"actuated"``.
+    """
+
+    name: ClassVar[str] = ""
+    target: str
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if cls.name:
+            EFFECTS[cls.name] = cls
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, list):  # YAML gives lists; a frozen value must be hashable
+                object.__setattr__(self, f.name, tuple(value))
+            if "unit" not in f.metadata or value is None:
+                continue
+            try:
+                numbers = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(f"{self.name} on {self.target!r}: {f.name} must be numeric, got {value!r}") from None
+            low, high, unit = f.metadata["low"], f.metadata["high"], f.metadata["unit"]
+            if not (np.isfinite(numbers).all() and (numbers >= low).all() and (numbers <= high).all()):
+                raise ValueError(
+                    f"{self.name} on {self.target!r}: {f.name} = {value} {unit} is outside [{low}, {high}] {unit}"
+                )
+
+    @abstractmethod
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        """Edit ``spec`` in place. Raises ValueError if the target does not exist."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The YAML/JSON form: ``{effect, target, parameters}`` (unset parameters left out)."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "target"}
+        parameters = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v is not None}
+        return {"effect": self.name, "target": self.target, "parameters": parameters}
+
+
+def effect_from_dict(entry: Mapping[str, Any]) -> Effect:
+    """Build an effect from its YAML form; errors name the key and list what is known."""
+    if not isinstance(entry, Mapping) or "effect" not in entry:
+        raise ValueError(f"an effect needs the keys effect, target, parameters; got {entry!r}")
+    name = entry["effect"]
+    if name not in EFFECTS:
+        raise ValueError(f"unknown effect {name!r}; known effects: {', '.join(sorted(EFFECTS))}")
+    if unknown := set(entry) - {"effect", "target", "parameters"}:
+        raise ValueError(f"effect {name!r}: unknown key {sorted(unknown)}; an effect has effect, target, parameters")
+    try:
+        return EFFECTS[name](target=entry.get("target", "*"), **entry.get("parameters", {}))
+    except TypeError:
+        known = [f.name for f in dataclasses.fields(EFFECTS[name]) if f.name != "target"]
+        raise ValueError(
+            f"effect {name!r}: parameters must be among {known}, got {sorted(entry.get('parameters', {}))}"
+        ) from None
+
+
+def elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
+    """The elements of one kind (``"joints"``, ``"geoms"``, ...) called ``target``, or all for ``"*"``."""
+    everything: Iterable[Any] = getattr(spec, kind)
+    found = [e for e in everything if target in ("*", e.name)]
+    if not found:
+        names = ", ".join(e.name or "<unnamed>" for e in everything)
+        raise ValueError(f"the model has no {kind[:-1]} named {target!r}; it has: {names or 'none'}")
+    return found
+
+
+ACTUATED = "actuated"
+"""The target of effects on all joints that an actuator acts on: motors and gears, not the joints of a free base."""
+
+
+def joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
+    """The joints called ``target``, all for ``"*"``, or those that actuators act on for ``"actuated"``."""
+    names = [j.name for j in spec.joints]
+    if target != ACTUATED or ACTUATED in names:
+        return elements(spec, "joints", target)
+    on_joints = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+    found = [j for j in spec.joints if j.name in on_joints]
+    if not found:
+        raise ValueError(f"no actuator of the model acts on a joint; its joints: {', '.join(names) or 'none'}")
+    return found

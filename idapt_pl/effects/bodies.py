@@ -1,0 +1,127 @@
+"""Effects on bodies: mass, inertia, centre of mass, payload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from scipy.linalg import expm
+
+from idapt_pl.effects.base import Effect, elements, parameter
+
+
+@dataclass(frozen=True)
+class BodyMass(Effect):
+    """Mass of a body. Its inertia scales along: the shape and density profile stay the same."""
+
+    name: ClassVar[str] = "body_mass"
+    mass: float = parameter("kg", 1e-6, 1e6)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        elements(spec, "bodies", self.target)  # raises if there is none
+        twin = spec.copy()
+        model = twin.compile()
+        masses = [float(model.body(b.id).mass[0]) for b in twin.bodies]
+        for body, now in zip(spec.bodies, masses, strict=True):
+            if self.target not in ("*", body.name):
+                continue
+            if now == 0.0:
+                if self.target == "*":
+                    continue
+                raise ValueError(f"body_mass: body {body.name!r} has no mass to scale")
+            ratio = self.mass / now
+            if body.explicitinertial:
+                body.mass *= ratio
+                body.inertia = np.asarray(body.inertia) * ratio
+                body.fullinertia = np.asarray(body.fullinertia) * ratio
+            for geom in body.geoms:
+                geom.density *= ratio
+                geom.mass *= ratio  # NaN (mass from density) stays NaN
+
+
+def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:
+    """Bodies with their mass, centre and inertia written out, as MuJoCo computes them from the geoms."""
+    bodies = elements(spec, "bodies", target)
+    model = spec.copy().compile()
+    for body in bodies:
+        compiled = model.body(body.name) if body.name else model.body(body.id)
+        if not body.explicitinertial or not np.isnan(body.fullinertia[0]):
+            body.explicitinertial = True
+            body.mass = float(compiled.mass[0])
+            body.ipos, body.iquat, body.inertia = compiled.ipos, compiled.iquat, compiled.inertia
+            body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given
+    return bodies
+
+
+@dataclass(frozen=True)
+class BodyCom(Effect):
+    """Centre of mass of a body, moved from where the model has it, in the body's frame."""
+
+    name: ClassVar[str] = "body_com"
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in explicit_inertial(spec, self.target):
+            body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
+
+
+@dataclass(frozen=True)
+class BodyInertia(Effect):
+    """Mass, centre and rotational inertia of a body at once, relative to what the model has: ten numbers.
+
+    The inertia about the centre, in the body's principal axes, becomes √I exp(E) √I with E symmetric, so that it stays
+    positive; MuJoCo balances one that no body could have. ``rotation`` scales it as a whole.
+    """
+
+    name: ClassVar[str] = "body_inertia"
+    mass: float = parameter("1", 1e-3, 1e3, default=1.0)
+    rotation: float = parameter("1", 1e-3, 1e3, default=1.0)
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+    xx: float = parameter("1", -5.0, 5.0, default=0.0)
+    yy: float = parameter("1", -5.0, 5.0, default=0.0)
+    xy: float = parameter("1", -5.0, 5.0, default=0.0)
+    xz: float = parameter("1", -5.0, 5.0, default=0.0)
+    yz: float = parameter("1", -5.0, 5.0, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in explicit_inertial(spec, self.target):
+            body.mass *= self.mass
+            body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
+            body.inertia = np.asarray(body.inertia) * self.rotation
+            if any((self.xx, self.yy, self.xy, self.xz, self.yz)):
+                self.deform(body)
+                spec.compiler.balanceinertia = True
+
+    def deform(self, body: Any) -> None:
+        """Apply exp(E); the trace of E is zero, as ``rotation`` is there for the rest."""
+        E = np.array([[self.xx, self.xy, self.xz], [self.xy, self.yy, self.yz], [self.xz, self.yz, -self.xx - self.yy]])
+        root = np.diag(np.sqrt(np.asarray(body.inertia)))
+        principal, axes = np.linalg.eigh(root @ expm(E) @ root)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        turn, whole = np.zeros(4), np.zeros(4)
+        mujoco.mju_mat2Quat(turn, axes.ravel())
+        mujoco.mju_mulQuat(whole, np.asarray(body.iquat, float), turn)
+        body.inertia, body.iquat = principal, whole
+
+
+@dataclass(frozen=True)
+class Payload(Effect):
+    """A point mass fixed to a body, at a place in the body's frame."""
+
+    name: ClassVar[str] = "payload"
+    mass: float = parameter("kg", 0.0, 1e5)
+    x: float = parameter("m", -1e2, 1e2, default=0.0)
+    y: float = parameter("m", -1e2, 1e2, default=0.0)
+    z: float = parameter("m", -1e2, 1e2, default=0.0)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for body in elements(spec, "bodies", self.target):
+            if self.mass:
+                load = body.add_body(pos=(self.x, self.y, self.z))
+                load.explicitinertial, load.mass, load.inertia = True, self.mass, [1e-9 * self.mass] * 3

@@ -1,0 +1,99 @@
+"""A domain is an MJCF model plus a list of effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.runtime import CommandEffect
+
+
+@dataclass(frozen=True)
+class View:
+    """Which part of the camera's image is rendered: a square window, at full resolution.
+
+    Args:
+        share: side of the window, as a share of the whole image's.
+        up: how far the window's middle lies above the image's, in the same measure.
+    """
+
+    share: float = 1.0
+    up: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.share <= 1:
+            raise ValueError(f"view.share must be in (0, 1], got {self.share:g}")
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        """Narrow every camera to the window. Lengths are in units of the whole image."""
+        for camera in spec.cameras:
+            focal = 0.5 / np.tan(np.deg2rad(camera.fovy) / 2)
+            camera.focal_length, camera.sensor_size = [focal] * 2, [self.share] * 2
+            camera.principal_length = [0, -self.up]
+
+
+WHOLE = View()
+"""The camera's whole image."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """One world: a base model and what is different about it.
+
+    Attributes:
+        name: for example ``"source"``, ``"easy"``, ``"hard"``.
+        base: builds a fresh base ``MjSpec``.
+        effects: edits applied in order.
+    """
+
+    name: str
+    base: Callable[[], mujoco.MjSpec]
+    effects: tuple[Effect, ...] = ()
+
+    def with_effects(self, *effects: Effect) -> Domain:
+        """The same domain with more effects."""
+        return Domain(self.name, self.base, (*self.effects, *effects))
+
+    def named(self, name: str) -> Domain:
+        """The same domain by another name."""
+        return Domain(name, self.base, self.effects)
+
+    def spec(self) -> mujoco.MjSpec:
+        """The base model with all effects applied."""
+        spec = self.base()
+        for effect in self.effects:
+            effect.apply(spec)
+        return spec
+
+    def command(self, model: mujoco.MjModel, actions: np.ndarray) -> np.ndarray:
+        """What effects that MJCF has no words for make of actions (n, nu), in their order."""
+        for effect in self.effects:
+            if isinstance(effect, CommandEffect) and not effect.in_mjcf:
+                columns = effect.columns(model)
+                actions = actions.copy()
+                actions[:, columns] = effect.law(actions[:, columns])
+        return actions
+
+    def compile(self, view: View = WHOLE) -> mujoco.MjModel:
+        """The compiled model, with rendering sized for small images.
+
+        MuJoCo sizes its shadow map for a screen; at 64 to 100 pixels it costs up to 100x the frame and
+        changes little, so it is off in every domain. Multisampling stays: without it, edges move in
+        steps of a pixel, and the speed of a pole cannot be read from three small frames. Round shapes have half as
+        many faces each way as on a screen: most of a small frame's time is spent on their corners.
+
+        Args:
+            view: the part of the camera's image that is wanted.
+        """
+        spec = self.spec()
+        if view != WHOLE:
+            view.apply(spec)
+        spec.visual.quality.shadowsize = 0
+        spec.visual.quality.offsamples = 4
+        spec.visual.quality.numslices = min(16, spec.visual.quality.numslices)
+        spec.visual.quality.numstacks = min(8, spec.visual.quality.numstacks)
+        return spec.compile()

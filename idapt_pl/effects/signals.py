@@ -1,0 +1,112 @@
+"""Effects on signals: delays and lags of commands, and what sensors make of a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from scipy.signal import lfilter
+
+from idapt_pl.effects.base import elements, parameter
+from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
+
+
+@dataclass(frozen=True)
+class ActuatorDelay(CommandEffect):
+    """A pure delay of the command. What held before a recording began is taken to be its first command."""
+
+    name: ClassVar[str] = "actuator_delay"
+    delay: float = parameter("s", 0.0, 10.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        return delay_columns(command, columns, self.delay)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.delay = self.delay
+            actuator.nsample = int(np.ceil(self.delay / spec.option.timestep)) + 1
+
+
+@dataclass(frozen=True)
+class SensorDelay(CommandEffect):
+    """All measurements are late by the same time. Target is ``"*"``.
+
+    Once an episode is under way, this and a delay of all commands are one and the same: the measured motion answers
+    commands later by the delay. So it is simulated as the latter.
+    """
+
+    name: ClassVar[str] = "sensor_delay"
+    delay: float = parameter("s", 0.0, 10.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        every = list(range(command.values.shape[1]))
+        return ActuatorDelay("*", self.delay).transform(command, every, step)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        if self.target != "*":
+            raise ValueError(f"sensor_delay: target must be '*' (all measurements), got {self.target!r}")
+
+
+@dataclass(frozen=True)
+class ActuatorLag(CommandEffect):
+    """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
+
+    A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
+    from the filter's state before, in the middle of or after it.
+    """
+
+    name: ClassVar[str] = "actuator_lag"
+    time_constant: float = parameter("s", 0.0, 10.0)
+    dead_time: float = parameter("s", -1.0, 10.0, default=0.0)
+
+    def transform(self, command: Command, columns: list[int], step: float) -> Command:
+        if self.dead_time:
+            command = delay_columns(command, columns, self.dead_time)
+        if self.time_constant <= 0:
+            return command
+        edges = np.arange(command.edges[0], command.edges[-1], step)
+        held = np.searchsorted(command.edges, edges + 1e-9, side="right") - 1
+        held = command.values[np.clip(held, 0, len(command.values) - 1)][:, columns]
+        keep = np.exp(-step / self.time_constant)
+        share = self.time_constant / step * (1 - keep)  # of the old value in the mean over a step
+        before = lfilter([1 - keep], [1, -keep], held, axis=0, zi=keep * held[:1])[0]
+        before = np.concatenate([held[:1], before[:-1]])  # the filter's state when each step begins
+        filtered = held + share * (before - held)
+        return replace_columns(command, columns, np.append(edges, command.edges[-1]), filtered)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in elements(spec, "actuators", self.target):
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            actuator.dynprm[0] = self.time_constant
+            if self.dead_time >= spec.option.timestep:
+                ActuatorDelay(actuator.name, self.dead_time).apply(spec)
+
+
+@dataclass(frozen=True)
+class SensorBias(SensingEffect):
+    """A constant added to a joint's measured position."""
+
+    name: ClassVar[str] = "sensor_bias"
+    bias: float = parameter("rad or m", -1e3, 1e3)
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos + self.bias, qvel
+
+    def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos - self.bias, qvel
+
+
+@dataclass(frozen=True)
+class SensorGain(SensingEffect):
+    """A factor on a joint's measured position and velocity."""
+
+    name: ClassVar[str] = "sensor_gain"
+    gain: float = parameter("1", 1e-3, 1e3)
+
+    def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos * self.gain, qvel * self.gain
+
+    def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return qpos / self.gain, qvel / self.gain

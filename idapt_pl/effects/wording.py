@@ -1,0 +1,104 @@
+"""Effects in words: phrases, units where they apply, sensible digits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import mujoco
+
+from idapt_pl.effects.base import ACTUATED
+
+MEANINGS = {
+    "body_mass": "mass of body",
+    "body_inertia": "mass, centre and inertia of body",
+    "body_com": "centre of mass of body",
+    "payload": "a load on body",
+    "joint_damping": "viscous friction (damping) on joint",
+    "joint_frictionloss": "dry friction on joint",
+    "joint_stribeck": "friction that falls with speed (Stribeck) on joint",
+    "joint_armature": "rotor inertia (armature) on joint",
+    "joint_stiffness": "a spring on joint",
+    "joint_springref": "rest position of the spring on joint",
+    "joint_backlash": "backlash in joint",
+    "joint_cogging": "cogging in joint",
+    "joint_drag": "quadratic drag on joint",
+    "actuator_gain": "gain of actuator",
+    "actuator_bias": "offset of the commands to actuator",
+    "actuator_delay": "delay of actuator",
+    "actuator_lag": "first-order lag of actuator",
+    "actuator_deadzone": "dead zone of actuator",
+    "actuator_saturation": "saturation of actuator",
+    "actuator_rotation": "rotation of the commands to actuator",
+    "actuator_kp": "stiffness of servo",
+    "actuator_kv": "velocity feedback of actuator",
+    "motor_constant": "torque constant of motor",
+    "contact_friction": "contact friction of geom",
+    "contact_softness": "contact softness of geom",
+    "fluid_drag": "drag of the surrounding medium",
+    "gravity_direction": "direction of gravity",
+    "external_force": "a constant force on body",
+    "sensor_bias": "offset of the position sensor of joint",
+    "sensor_gain": "scale of the sensors of joint",
+    "sensor_delay": "delay of the sensors of joint",
+    "numerics": "time step and integrator of the simulation",
+}
+"""What each effect is called in a sentence; its target follows, unless that is the world."""
+
+
+def phrase_at(effect: str, target: str) -> str:
+    """``joint_frictionloss``, ``slider`` as "dry friction on joint slider"."""
+    words = MEANINGS.get(effect, effect.replace("_", " ") + " of")
+    if target == "world":
+        return words.removesuffix(" of")
+    if target not in ("*", ACTUATED):
+        return f"{words} {target}"
+    before, _, kind = words.rpartition(" ")
+    return f"{before} all {'actuated ' * (target == ACTUATED)}{'bodies' if kind == 'body' else kind + 's'}"
+
+
+def format_number(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits and no needless zeros."""
+    if not math.isfinite(value):
+        return "-"
+    if value and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{float(f'{value:.{digits}g}'):g}"
+
+
+def format_estimate(value: float | str, interval: Iterable[float] | None) -> tuple[str, str]:
+    """A value with as many digits as its interval warrants, and the interval (empty if there is none)."""
+    if isinstance(value, str):
+        return value, ""
+    if interval is None:
+        return format_number(value), ""
+    low, high = interval
+    half = (high - low) / 2
+    if not (math.isfinite(half) and half > 1e-9 * abs(value)):
+        return format_number(value), f"{format_number(low)} to {format_number(high)}"
+    decimals = math.ceil(-math.log10(half / 2))
+    if decimals > 6:
+        return tuple(f"{value:.3g} | {low:.3g} to {high:.3g}".split(" | "))
+    shown = [f"{round(v, decimals):.{max(decimals, 0)}f}" for v in (value, low, high)]
+    return shown[0], f"{shown[1]} to {shown[2]}"
+
+
+def unit_at(model: mujoco.MjModel, target: str, unit: str) -> str:
+    """The unit of a joint's effect: "N·m or N" is the first for a hinge and the second for a slide."""
+    if " or " not in unit:
+        return unit
+    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0])
+    meant = {"*": set(range(model.njnt)), ACTUATED: driven}.get(target, set())
+    joints = [j for j in range(model.njnt) if j in meant or model.joint(j).name == target]
+    kinds = {int(model.jnt_type[j]) for j in joints} & {slide, hinge}
+    if len(kinds) != 1:
+        return unit
+    turning, straight = unit.split(" or ")
+    return turning if hinge in kinds else straight
+
+
+def listing(words: Iterable[str]) -> str:
+    """As in "a, b or c", each once."""
+    once = list(dict.fromkeys(words))
+    return once[0] if len(once) == 1 else f"{', '.join(once[:-1])} or {once[-1]}"

@@ -1,0 +1,1 @@
+"""What diagnosis, image diagnosis, appearance and trajectory matching share: fits, intervals, distances."""

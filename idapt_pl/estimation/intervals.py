@@ -1,0 +1,43 @@
+"""How sure an estimate or a gain is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from idapt_pl.estimation.least_squares import LeastSquaresFit, influence
+
+
+def unknown_variance(fit: LeastSquaresFit, changes: Sequence[np.ndarray]) -> np.ndarray:
+    """Variance of x / scale, (p,), by things that are not known and not fitted (Schmidt's consider parameters).
+
+    Args:
+        fit: made as if they were as assumed.
+        changes: of the whitened residuals, (n, rows) each, by a standard deviation of each.
+    """
+    bread, weighted = influence(fit)
+    return sum((np.square(bread @ (weighted.T @ c.ravel())) for c in changes), np.zeros(len(bread)))
+
+
+def covariance(fit: LeastSquaresFit, clusters: np.ndarray) -> np.ndarray:
+    """Sandwich covariance of x / scale, clustered (episodes): robust to what the noise model gets wrong."""
+    rows = fit.z.shape[1]
+    bread, weighted = influence(fit)
+    scores = (weighted * fit.z.ravel()[:, None]).reshape(len(fit.z), rows, -1).sum(1)
+    names = np.unique(clusters)
+    g = np.stack([scores[clusters == c].sum(0) for c in names])
+    correction = len(names) / max(len(names) - 1, 1)
+    return correction * bread @ (g.T @ g) @ bread
+
+
+def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> tuple[float, float]:
+    """Mean of before - after over windows, and its standard error.
+
+    Windows do not overlap, so their noise is independent. That some episodes show an effect more than others is
+    no reason to doubt it; if it helps in fewer than half of them, the error returned is infinite.
+    """
+    gain = before - after
+    helped = np.mean([gain[clusters == c].mean() > 0 for c in np.unique(clusters)])
+    error = float(gain.std() / np.sqrt(len(gain)))
+    return float(gain.mean()), error if helped >= 0.5 or gain.mean() <= 0 else float("inf")

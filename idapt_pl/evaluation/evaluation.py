@@ -1,0 +1,144 @@
+"""What a run reports: returns in the target, residuals, translation errors. Nothing here trains or selects."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+from idapt_pl.evaluation.paired import paired_errors
+from idapt_pl.rl.transition_distance import transition_residual
+from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
+from idapt_pl.files import write_json
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.returns import evaluate
+from idapt_pl.stage import Stages
+from idapt_pl.worlds import Worlds
+
+log = logging.getLogger(__name__)
+
+
+class Evaluation:
+    """Measures after each grounding step and writes ``RUN/step_<k>/evaluation.json`` and ``summary.json``.
+
+    Args:
+        worlds: of the run.
+        stages: of the run.
+        episodes: episodes for each return.
+        target_name: for the summary.
+    """
+
+    def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str) -> None:
+        self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
+
+    def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
+        """Return (or success) of a policy in the target, acting with its mean."""
+        env = self.worlds.rewarded_target(min(self.episodes, 25))
+        with closing(env):
+            result = evaluate(env, deterministic(policy), self.episodes, seed)
+        return {
+            "mean": result.mean,
+            "std": result.std,
+            "returns": list(result.returns),
+            "successes": list(result.successes),
+            "interactions": result.interactions,
+        }
+
+    def direct_transfer(self, policy: AsymmetricSAC) -> dict:
+        """The source policy, as it is, in the target."""
+        result = self.stages.measure(0, "direct_transfer", lambda seed: self.target_return(policy, seed))
+        self.worlds.ledger.enter(0, "evaluation of direct transfer", result["interactions"])
+        log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
+        return result
+
+    def report(
+        self,
+        step: int,
+        policy: AsymmetricSAC,
+        G: VisualTransformation,
+        F: ActionTransformation | None,
+        P_S: StatePredictor,
+        target: Sequence[Path],
+        policy_before: AsymmetricSAC | None = None,
+    ) -> dict:
+        """Everything measured after one grounding step."""
+
+        def make(seed: int) -> dict:
+            with closing(self.worlds.grounded(5, G, F)) as env:
+                grounded = evaluate(env, deterministic(policy), 5, seed)
+            result = {
+                "target": self.target_return(policy, seed),
+                "grounded": {"mean": grounded.mean, "std": grounded.std},
+                "translation": paired_errors(self.worlds, policy, G, P_S, 200, seed),
+            }
+            if F is not None and policy_before is not None:
+                result["residual"] = transition_residual(self.worlds, policy_before, G, F, target, seed)
+            return result
+
+        fresh = not (self.stages.folder(step) / "evaluation.json").exists()
+        result = self.stages.measure(step, "evaluation", make)
+        if fresh:
+            self.show(step, result, policy, G, F)
+        self.worlds.ledger.enter(step, "evaluation", result["target"]["interactions"])
+        log.info(
+            "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
+            step,
+            result["target"]["mean"],
+            result["target"]["std"],
+            result["grounded"]["mean"],
+            result.get("residual", "-"),
+            result["translation"],
+        )
+        return result
+
+    def show(
+        self, step: int, result: dict, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None
+    ) -> None:
+        """The run's TensorBoard page: returns, residuals, and the policy in grounded source and target."""
+        folder = self.stages.folder(step)
+        scalars = {
+            "returns/target": result["target"]["mean"],
+            "returns/grounded": result["grounded"]["mean"],
+            "translation/psnr": result["translation"]["psnr"],
+        }
+        scalars |= {f"residual/{k}": v for k, v in result.get("residual", {}).items()}
+        log_scalars(folder, scalars, step)
+        videos = []
+        for env in (self.worlds.grounded(1, G, F), self.worlds.rewarded_target(1)):
+            with closing(env):
+                videos.append(record_video(env, deterministic(policy), 75, seed=step))
+        log_video(folder, "policy_in_grounded_and_target", side_by_side(*videos), step)
+
+    def summary(self, steps: int) -> dict:
+        """Write and return ``summary.json``."""
+
+        def read(step: int, name: str) -> dict | None:
+            path = self.stages.folder(step) / f"{name}.json"
+            return json.loads(path.read_text()) if path.exists() else None
+
+        evaluations = [read(k, "evaluation") for k in range(steps + 1)]
+        selections = {k: read(k, "selection") for k in range(1, steps + 1)}
+        oracle = read(0, "oracle_evaluation")
+        found = [(k, read(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
+        stages = self.stages.timings()
+        summary = {
+            "task": self.worlds.task.name,
+            "target": self.target_name,
+            "seed": self.stages.seed,
+            "metric": self.worlds.task.metric,
+            "episodes": self.episodes,
+            "direct_transfer": read(0, "direct_transfer")["mean"],
+            "oracle": oracle["mean"] if oracle else None,
+            "visual_only": evaluations[0]["target"]["mean"],
+            "grounded": [e["target"]["mean"] for e in evaluations[1:]],
+            "effects": [{"step": k} | e for k, result in found if result for e in result["effects"]],
+            "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
+            "target_interactions": self.worlds.ledger.training_total,
+            "wall_s": round(sum(s["wall_s"] for s in stages), 1),
+            "stages": stages,
+        }
+        write_json(self.stages.run_dir / "summary.json", summary)
+        return summary

@@ -1,0 +1,74 @@
+"""An estimator of the state as a sensor: what it reads from recordings of images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import Episode, Trajectories
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+from idapt_pl.modules import VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.tasks import Task
+
+
+@dataclass(frozen=True)
+class ImageSensor:
+    """A predictor of states, as a sensor of positions and velocities.
+
+    Args:
+        predictor: reads target images.
+        task: knows positions and velocities from states.
+        frame_stack: images that the predictor sees at a time.
+    """
+
+    predictor: PixelStatePredictor
+    task: Task
+    frame_stack: int
+
+    def read(self, files: Sequence[Path], G: VisualTransformation | None = None) -> Trajectories:
+        """Recordings as the sensor gives them: ``qpos``, ``qvel`` and actions; ``state`` too where it is there.
+
+        Args:
+            files: trajectory files with images.
+            G: shows the sensor source images as target images; None for target images.
+
+        Raises:
+            ValueError: if the task's states do not tell positions.
+        """
+        data, read = read_all(files, also="state" if G else None), []
+        for episode in data:
+            qpos, qvel = self.motion(episode, data.dt, G)
+            known = {"state": episode.observations["state"]} if G else {}
+            read.append(Episode(episode.actions, {"qpos": qpos, "qvel": qvel} | known))
+        return Trajectories(tuple(read), data.dt, "read from images")
+
+    def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
+        """``qpos`` and ``qvel`` of one episode."""
+        seen = FrameStacks([episode if G is None else translate_episode(G, episode)], self.frame_stack)
+        return self.task.motion(estimate_states(seen, self.predictor), dt)
+
+
+@torch.no_grad()
+def estimate_states(images: FrameStacks, predictor: PixelStatePredictor, chunk: int = 256) -> np.ndarray:
+    """What a sensor takes for the states that images show, (n, s), in their units."""
+    device = next(predictor.parameters()).device
+    parts = np.array_split(np.arange(len(images)), len(images) // chunk + 1)
+    seen = (torch.from_numpy(images.stacks(p)).to(device) for p in parts)
+    return np.concatenate([predictor.predict(s).cpu().numpy() for s in seen]).astype(float)
+
+
+def translate_episode(G: VisualTransformation, episode: Episode) -> Episode:
+    """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
+    pixels = episode.observations["pixels"]
+    if G.frames > 1:
+        stacks = FrameStacks([episode], G.frames).stacks(np.arange(len(pixels)))
+        pixels = G.translate(stacks)[:, -1]
+    else:
+        pixels = G.translate(pixels[:, None])[:, 0]
+    return replace(episode, observations={**episode.observations, "pixels": pixels})

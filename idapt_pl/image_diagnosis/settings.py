@@ -1,0 +1,35 @@
+"""Whether and how the loop looks for effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SHORTEST_EPISODE = 6
+"""Control steps that an episode must last to be of use."""
+DEFAULT_CANDIDATES = (
+    "body_mass",
+    "joint_damping",
+    "joint_frictionloss",
+    "joint_armature",
+    "actuator_gain",
+    "actuator_delay",
+)
+"""What is looked for by default: what an environment can be given, and what so poor a sensor can tell apart."""
+
+
+@dataclass(frozen=True)
+class DiscoverySettings:
+    """Whether and how the loop looks for effects that the source lacks.
+
+    Args:
+        discover: look for them in every grounding step and add what is found to the source.
+        candidates: names of the effects to consider.
+        max_effects: stop after so many in a grounding step.
+        looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
+            frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
+    """
+
+    discover: bool = False
+    candidates: tuple[str, ...] = DEFAULT_CANDIDATES
+    max_effects: int = 2
+    looks: bool = False

@@ -1,0 +1,1 @@
+"""Acting in environments: policies, exploration, collecting, experience for replay, returns, experts."""

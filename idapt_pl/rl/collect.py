@@ -1,0 +1,78 @@
+"""Collecting trajectories from environments."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datamodules import Episode, Trajectories
+from gymnasium.vector import VectorEnv
+from idapt_pl.rl.policy import Policy, tick
+
+
+def collect(env: VectorEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
+    """Exactly ``steps`` control steps, cut into episodes; the last one of each simulation may be unfinished.
+
+    States and rewards are recorded where the environment shows them, which the target does not.
+
+    Args:
+        env: any of the image environments.
+        act: the policy.
+        steps: control steps, over all simulations together.
+        seed: of the environment's resets.
+        source: free text for the file.
+        pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
+    """
+    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels))
+    return Trajectories(episodes, env.unwrapped.dt, source)
+
+
+def collect_each(env: VectorEnv, act: Policy, steps: int, seed: int) -> list[Trajectories]:
+    """As :func:`collect`, but ``steps`` of every simulation, each one's episodes on their own."""
+    played = play(env, act, steps * env.num_envs, seed, "pixels")
+    of_each = [tuple(episode for i, episode in played if i == n) for n in range(env.num_envs)]
+    return [Trajectories(episodes, env.unwrapped.dt, "") for episodes in of_each]
+
+
+def play(env: VectorEnv, act: Policy, steps: int, seed: int, pixels: str) -> list[tuple[int, Episode]]:
+    """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
+    obs, _ = env.reset(seed=seed)
+    labelled = "state" in obs
+    episodes: list[tuple[int, Episode]] = []
+    running = [_EpisodeBuilder(obs, i, pixels) for i in range(env.num_envs)]
+    taken = 0
+    while taken < steps:
+        actions = act(obs["pixels"])
+        obs, rewards, terminations, truncations, infos = env.step(actions)
+        tick(act, terminations | truncations)
+        successor = infos.get("final_obs", obs)
+        taken += env.num_envs
+        for i, builder in enumerate(running):
+            builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
+            if terminations[i] or truncations[i] or taken >= steps:
+                episodes.append((i, builder.finish(labelled)))
+                running[i] = _EpisodeBuilder(obs, i, pixels)
+    return episodes
+
+
+class _EpisodeBuilder:
+    def __init__(self, obs: dict[str, np.ndarray], i: int, pixels: str) -> None:
+        self.pixels = pixels
+        self.frames, self.states, self.actions, self.outcomes = [], [], [], []
+        self._see(obs, i)
+
+    def _see(self, obs: dict[str, np.ndarray], i: int) -> None:
+        self.frames.append(obs[self.pixels][i, -1])
+        if "state" in obs:
+            self.states.append(obs["state"][i])
+
+    def add(self, action: np.ndarray, obs: dict[str, np.ndarray], i: int, outcome: tuple) -> None:
+        self.actions.append(action)
+        self.outcomes.append(outcome)
+        self._see(obs, i)
+
+    def finish(self, labelled: bool) -> Episode:
+        if not labelled:
+            return Episode(np.asarray(self.actions), {"pixels": np.asarray(self.frames)})
+        rewards, terminations, truncations = map(np.asarray, zip(*self.outcomes, strict=True))
+        observations = {"pixels": np.asarray(self.frames), "state": np.asarray(self.states)}
+        return Episode(np.asarray(self.actions), observations, rewards, terminations, truncations)

@@ -1,0 +1,91 @@
+"""Policies that see states: experts and backwards ones for datasets, and the bounds of transfer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import ReplayBuffer, ReplayDataModule
+from gymnasium.vector import VectorEnv
+from idapt_pl.effects import Domain
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.modules import StateSAC
+from idapt_pl.rl.experience import Experience
+from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.returns import Returns, evaluate
+from idapt_pl.stage import Stages
+from idapt_pl.tasks import Task
+from idapt_pl.tasks.recipe import ExpertRecipe
+
+RECIPES = {
+    "inverted_pendulum": ExpertRecipe(steps=8_000, updates_per_step=2),
+    "half_cheetah": ExpertRecipe(steps=60_000),
+    "walker2d": ExpertRecipe(steps=100_000),
+    "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
+    "sawyer_push": ExpertRecipe(steps=30_000, gamma=0.95),
+}
+
+
+def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stages, name: str) -> StateSAC:
+    """SAC on states in one domain; a policy that is in the stages' folder is loaded instead."""
+    env = VectorStateEnv(task, domain, recipe.num_envs)
+    low, high = (bound.tolist() for bound in (env.single_action_space.low, env.single_action_space.high))
+    state_dim = env.single_observation_space["state"].shape[0]
+    with closing(env):
+        build = lambda: StateSAC(state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
+        return fit_expert(build, lambda device: env, recipe, stages, 0, name)
+
+
+def fit_expert(
+    build: Callable[[], StateSAC],
+    make_env: Callable[[torch.device], VectorEnv],
+    recipe: ExpertRecipe,
+    stages: Stages,
+    step: int,
+    name: str,
+    fresh: bool = True,
+) -> StateSAC:
+    """SAC on states in an environment whose ``pixels`` are its states, as one stage.
+
+    A policy that is not ``fresh`` goes on from what it knows: it warms up with its own actions and keeps its scale.
+    """
+
+    def feed(module: StateSAC, seed: int, device: torch.device) -> ReplayDataModule:
+        env = make_env(device)
+        buffer = ReplayBuffer(recipe.warmup_steps + recipe.steps + recipe.num_envs, seed)
+        warm_up = Experience(env, module, seed, random=fresh)
+        for _ in range(math.ceil(recipe.warmup_steps / recipe.num_envs)):
+            buffer.add(warm_up())
+        if fresh:
+            module.actor.encoder.fit(buffer.sample(buffer.size, names=("state",))["state"].to(device))
+        updates = round(recipe.updates_per_step * recipe.num_envs)
+        act = Experience(env, module, seed + 1)
+        return ReplayDataModule(act, buffer, recipe.batch, updates, recipe.steps // recipe.num_envs)
+
+    return stages.fit(step, name, build, feed, recipe.steps // recipe.num_envs)
+
+
+def measure_expert(policy: StateSAC, task: Task, domain: Domain, episodes: int, seed: int) -> Returns:
+    """What a policy reaches in a domain, acting with its mean on the true states."""
+    with closing(VectorStateEnv(task, domain, min(episodes, 20))) as env:
+        return evaluate(env, lambda states: policy.act(states, deterministic=True), episodes, seed)
+
+
+def acting_on_states(policy: StateSAC, env) -> Policy:
+    """A policy on states as one that is asked with images: it reads the simulations behind them."""
+    inner = env.unwrapped
+
+    def act(pixels: np.ndarray) -> np.ndarray:
+        return policy.act(np.asarray([inner.task.state(inner.model, d) for d in inner.data], np.float32))
+
+    return act
+
+
+def expert_folder(cache: Path, task: Task, kind: str, seed: int) -> Path:
+    """Where an expert is kept."""
+    return cache / f"{task.name}_{kind}_{seed}"

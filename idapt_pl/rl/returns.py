@@ -1,0 +1,56 @@
+"""Returns of whole episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gymnasium.vector import VectorEnv
+from idapt_pl.rl.policy import Policy
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Undiscounted returns of whole episodes; ``interactions`` is what they cost.
+
+    ``successes`` says for each episode whether its goal was reached at any time, for tasks whose metric is success;
+    the mean and spread are then of that, else of the returns.
+    """
+
+    returns: tuple[float, ...]
+    interactions: int
+    successes: tuple[bool, ...] = ()
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.successes or self.returns))
+
+    @property
+    def std(self) -> float:
+        return float(np.std(self.successes or self.returns))
+
+
+def evaluate(env: VectorEnv, act: Policy, episodes: int, seed: int) -> Returns:
+    """Returns of ``episodes`` whole episodes, played ``env.num_envs`` at a time.
+
+    Given a target with its reward it reads that; nothing that trains or selects has such a one.
+    """
+    returns: list[float] = []
+    successes: list[bool] = []
+    interactions = 0
+    while len(returns) < episodes:
+        obs, _ = env.reset(seed=seed + len(returns))
+        playing = np.arange(env.num_envs) < episodes - len(returns)
+        total, reached = np.zeros(env.num_envs), np.zeros(env.num_envs, bool)
+        chosen = playing.copy()
+        while playing.any():
+            obs, rewards, terminations, truncations, infos = env.step(act(obs["pixels"]))
+            total += rewards * playing
+            reached |= infos.get("success", reached) & playing
+            interactions += int(playing.sum())
+            playing &= ~(terminations | truncations)
+        returns.extend(total[chosen])
+        if "success" in infos:
+            successes.extend(reached[chosen])
+    return Returns(tuple(map(float, returns)), interactions, tuple(map(bool, successes)))

@@ -1,0 +1,1 @@
+"""What each stage of a grounding step is fed and how it is fitted."""

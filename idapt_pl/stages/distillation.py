@@ -1,0 +1,210 @@
+"""A privileged teacher (optional): SAC on the source's states, imitated by the image policy before its own SAC."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from datamodules import ReplayBuffer, ReplayDataModule
+from gymnasium.vector import VectorEnv
+from idapt_pl.envs import StatesOnly
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
+from idapt_pl.rl.experience import Experience
+from idapt_pl.rl.experts import RECIPES, fit_expert
+from idapt_pl.stage import Stages
+from idapt_pl.worlds import Worlds
+
+LABELLED = ("observation", "label", "label_log_std")
+"""What imitation learns from."""
+
+
+@dataclass(frozen=True)
+class TeacherSettings:
+    """A teacher that sees the source's states, and how the image policy learns from it. Off unless ``steps`` are given.
+
+    Args:
+        steps: environment steps of the teacher's SAC in the source, where states are free; 0 is no teacher, the paper.
+        adapt: environment steps for which it goes on whenever the dynamics have become other ones: in the grounded
+            source with F, or in a repaired source. 0 leaves it as it was. Either comes after the warm-up of its recipe.
+        dagger: environment steps of DAgger (Ross et al. 2011) at the beginning of every policy stage. The policy's own
+            SAC follows, as long as the schedule says; 0 leaves the student as it is.
+        fading: share of these over which the teacher's share of the actions falls from 1 to 0.
+        updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
+    """
+
+    steps: int = 0
+    adapt: int = 0
+    dagger: int = 0
+    fading: float = 0.5
+    updates_per_step: float = 1.0
+
+    def __post_init__(self) -> None:
+        if bool(self.steps) != bool(self.dagger):
+            raise ValueError(
+                f"teacher.steps is {self.steps} and teacher.dagger is {self.dagger}: a teacher trains (steps) and is "
+                "imitated (dagger). Give both, or neither."
+            )
+        if not 0 < self.fading <= 1:
+            raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
+
+
+NO_TEACHER = TeacherSettings()
+
+
+class DaggerExperience(Experience):
+    """Acts as teacher or student, step by step by chance, and says what the teacher would have done.
+
+    Args:
+        env: shows the student images, and has the source's states.
+        student: remembers its observations as it does for SAC.
+        teacher: looks at the true states.
+        seed: of resets and of who acts.
+        fading: calls over which the teacher's share falls from 1 to 0.
+        images: give images and states too, for the estimator.
+    """
+
+    def __init__(
+        self, env: VectorEnv, student: AsymmetricSAC, teacher: StateSAC, seed: int, fading: int, images: bool
+    ) -> None:
+        super().__init__(env, student, seed)
+        self.teacher, self.share, self._fading = teacher, 1.0, fading
+        self._kept = ("observation", "pixels", "state") if images else ("observation",)
+        self._rng = np.random.default_rng(seed)
+        self.act = self._act
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        """One step of every simulation: ``observation`` and, for it, what :func:`teacher_labels` says."""
+        labels = teacher_labels(self.teacher, self._state)
+        transitions = super().__call__()
+        self.share = max(0.0, self.share - 1 / self._fading)
+        return {k: transitions[k] for k in self._kept} | labels
+
+    def _act(self, seen: dict[str, np.ndarray]) -> np.ndarray:
+        actions = self.policy.act_on(seen)
+        taught = self._rng.random(len(actions)) < self.share
+        actions[taught] = self.teacher.act(self._state)[taught]
+        return actions
+
+
+@torch.no_grad()
+def teacher_labels(teacher: StateSAC, states: np.ndarray) -> dict[str, np.ndarray]:
+    """The teacher's mean action on states (n, s), in -1..1, and the log of its spread before tanh; both (n, nu)."""
+    normal = teacher.actor.distribution(teacher.encode(states))
+    return {"label": normal.mean.tanh().cpu().numpy(), "label_log_std": normal.stddev.log().cpu().numpy()}
+
+
+class Distillation:
+    """Keeps the teacher of a run up to date and makes students. It knows source and grounded source, not the target.
+
+    Args:
+        worlds: of the run.
+        stages: of the run.
+        teacher: how.
+        num_envs: simulations that the student acts in side by side.
+        batch: lessons in a minibatch.
+        memory: lessons kept.
+    """
+
+    def __init__(
+        self, worlds: Worlds, stages: Stages, teacher: TeacherSettings, num_envs: int, batch: int, memory: int
+    ) -> None:
+        self.worlds, self.stages, self.teacher = worlds, stages, teacher
+        self.num_envs, self.batch, self.memory = num_envs, batch, memory
+        self.expert: StateSAC | None = None
+        self._first: StateSAC | None = None  # before any adaptation
+        self._dynamics: tuple | None = None  # those that the expert was trained in
+
+    def student(
+        self,
+        step: int,
+        prefix: str,
+        build: Callable[[], AsymmetricSAC],
+        make_env: Callable[[torch.device], VectorEnv],
+        F: ActionTransformation | None = None,
+    ) -> AsymmetricSAC:
+        """The policy of ``build``, taught in an environment (one whose actions go through F, if there is one)."""
+        teacher = self.up_to_date(step, f"{prefix}teacher", build, make_env, F)
+
+        def build_imitation() -> Imitation:
+            policy = build()
+            copy_critics(teacher, policy)
+            return Imitation(policy)
+
+        def feed(module: Imitation, seed: int, device: torch.device) -> ReplayDataModule:
+            t, n, policy = self.teacher, self.num_envs, module.policy
+            fading = math.ceil(t.fading * t.dagger / n)
+            supervised = policy.hparams.encoder == "supervised"
+            images = round(policy.hparams.estimator_updates * n) if supervised else 0
+            lessons = DaggerExperience(make_env(device), policy, teacher.to(device), seed, fading, images > 0)
+            return ReplayDataModule(
+                lessons,
+                ReplayBuffer(min(self.memory, t.dagger), seed),
+                self.batch,
+                updates_per_batch=max(1, round(t.updates_per_step * n)),
+                batches=t.dagger // n,
+                image_batches=images,
+                image_batch_size=policy.hparams.estimator_batch,
+                names=LABELLED,
+            )
+
+        steps = self.teacher.dagger // self.num_envs
+        return self.stages.fit(step, f"{prefix}student", build_imitation, feed, steps).policy
+
+    def up_to_date(
+        self,
+        step: int,
+        name: str,
+        build: Callable[[], AsymmetricSAC],
+        make_env: Callable[[torch.device], VectorEnv],
+        F: ActionTransformation | None,
+    ) -> StateSAC:
+        """The teacher, trained in the source and after that in whatever dynamics are new."""
+        dynamics = (self.worlds.source_domain, F)
+        known, fresh = self.expert, self.expert is None
+        if not fresh and (dynamics == self._dynamics or not self.teacher.adapt):
+            return known
+        policy = build().hparams  # its critics are to be the student's
+        recipe = replace(RECIPES[self.worlds.task.name], gamma=policy.gamma)
+        recipe = replace(recipe, steps=self.teacher.steps if fresh else self.teacher.adapt)
+
+        def build_expert() -> StateSAC:
+            bounds = self.worlds.action_bounds
+            same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
+            expert = StateSAC(policy.state_dim, **bounds, **same)
+            if known is not None:
+                expert.load_state_dict(known.state_dict())
+            return expert
+
+        def make(device: torch.device) -> VectorEnv:
+            return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+
+        self.expert = fit_expert(build_expert, make, recipe, self.stages, step, name, fresh)
+        self._dynamics, self._first = dynamics, self._first or self.expert
+        return self.expert
+
+    def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
+        """The teacher as it is before any grounding; it trains now, if it has not yet."""
+        if self._first is None:
+            self.up_to_date(0, "source_teacher", build, lambda device: None, None)
+        return self._first
+
+
+@torch.no_grad()
+def copy_critics(teacher: StateSAC, policy: AsymmetricSAC) -> None:
+    """Give a policy the teacher's critics and temperature, so that its SAC goes on from where the teacher's ended.
+
+    The teacher's critics see standardised states, the policy's the states: the scale goes into the first layers.
+    """
+    scale = teacher.actor.encoder
+    for name in ("critic", "critic_target"):
+        critic = getattr(policy, name)
+        critic.load_state_dict(getattr(teacher, name).state_dict())
+        for net in critic.nets:
+            scaled = net[0].weight[:, : len(scale.mean)]
+            scaled /= scale.std
+            net[0].bias -= scaled @ scale.mean
+    policy.log_alpha.copy_(teacher.log_alpha)

@@ -1,0 +1,153 @@
+"""Is a new F better than the one before? Judged on held-out images and actions of the target, never on its reward.
+
+A policy is rolled out in the grounded source with the one F and with the other, and its transitions (f, a, f') are
+compared with those it made in the target and that neither F was fitted to. The features f are those of the
+policy's encoder, so this works for every task. The distance is the energy distance of (f, a, u), u what f' differs by
+from a linear law of the target: most of a change follows from f alone, and would hide what the actions do. Whole pieces
+of recordings are drawn again (bootstrap), since transitions within one go together; of the grounded source, where
+there is no shortage, whole episodes of several rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules.pieces import held_out, pieces
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+from idapt_pl.rl.transition_distance import ROLLOUTS, grounded_rollouts, standardised_transitions
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.worlds import Worlds
+
+BOOTSTRAP_DRAWS = 2000
+"""Bootstrap draws."""
+
+
+@dataclass(frozen=True)
+class TransitionSample:
+    """Transitions and where they come from.
+
+    Attributes:
+        values: standardised (f, a, u), (n, 2d + nu).
+        piece: number of each one's piece (or episode), 0 to p - 1, (n,).
+    """
+
+    values: torch.Tensor
+    piece: np.ndarray
+
+    @property
+    def membership(self) -> torch.Tensor:
+        """One where a transition belongs to a piece, (n, p)."""
+        return torch.nn.functional.one_hot(torch.from_numpy(self.piece)).float()
+
+    def mean_distance(self, other: TransitionSample, w: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Mean distance between transitions of different pieces, for weights of the pieces (b, p), (b, q): (b,)."""
+        mine, theirs = self.membership, other.membership
+        sums = mine.T @ torch.cdist(self.values, other.values) @ theirs  # (p, q)
+        pairs = mine.sum(0)[:, None] * theirs.sum(0)
+        if other is self:
+            sums, pairs = sums.fill_diagonal_(0), pairs.fill_diagonal_(0)
+        return ((w @ sums) * v).sum(1) / ((w @ pairs) * v).sum(1)
+
+
+def unpredicted_change(known: torch.Tensor, d: int) -> Callable[[torch.Tensor], torch.Tensor]:
+    """(f, a, change of f) to (f, a, u): u is what a linear law does not predict, in units of its spread.
+
+    The map can be inverted, so distributions agree after it if and only if they did before.
+
+    Args:
+        known: standardised transitions (n, 2d + nu) that the law is fitted to, by ridge regression.
+        d: size of f.
+    """
+
+    def inputs(x: torch.Tensor) -> torch.Tensor:
+        return torch.cat([x[:, :-d], torch.ones(len(x), 1)], 1)
+
+    A = inputs(known)
+    law = torch.linalg.solve(A.T @ A + torch.eye(A.shape[1]), A.T @ known[:, -d:])
+    spread = (known[:, -d:] - A @ law).std(0).clamp(min=1e-3)
+    return lambda x: torch.cat([x[:, :-d], (x[:, -d:] - inputs(x) @ law) / spread], 1)
+
+
+def compare_transformations(
+    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation,
+    F_before: ActionTransformation | None, target: Path, seed: int,
+) -> dict:  # fmt: skip
+    """The grounded source with a new F against that with the one before.
+
+    Args:
+        worlds: of the run; no target is made.
+        policy: whose target recordings these are.
+        G: the visual transformation.
+        F: the new action transformation, in whose features transitions are compared.
+        F_before: the one to fall back to; None is the identity.
+        target: trajectory file; its images and actions are all that is used.
+        seed: of the rollouts and of the bootstrap.
+
+    Returns:
+        ``before`` and ``after``, energy distances to the held-out target transitions with the one F and the other;
+        ``worse_by``, their difference, and its ``ci95``; ``rolled_back``: whether all of that interval is above zero;
+        how much was held out, ``held_out_pieces`` and ``held_out_steps``.
+    """
+
+    def grounded(transform: ActionTransformation | None) -> TransitionSample:
+        rollouts = grounded_rollouts(worlds, policy, G, transform, len(out), ROLLOUTS, seed)
+        begins = [(i, first) for i, r in enumerate(rollouts) for first in r.first[r.transitions]]
+        episode = np.unique(begins, axis=0, return_inverse=True)[1].ravel()
+        return TransitionSample(describe(torch.cat([standardised_transitions(r, F) for r in rollouts])), episode)
+
+    stacks = FrameStacks(read_all([target]), worlds.frame_stack)
+    values, piece = standardised_transitions(stacks, F), pieces(stacks)[stacks.transitions]
+    out = held_out(piece)
+    if len(np.unique(piece[out])) < 2:
+        raise ValueError(f"schedule.rollback needs at least 10 target interactions in a grounding step, got {len(out)}")
+    describe = unpredicted_change(values[torch.from_numpy(~out)], F.encoder.features)
+    real = TransitionSample(describe(values[torch.from_numpy(out)]), np.unique(piece[out], return_inverse=True)[1])
+    return bootstrap_comparison(grounded(F_before), grounded(F), real, seed)
+
+
+def bootstrap_comparison(before: TransitionSample, after: TransitionSample, real: TransitionSample, seed: int) -> dict:
+    """Whether ``after`` is clearly further from ``real`` than ``before`` is; see :func:`compare_transformations`."""
+    rng = np.random.default_rng(seed)
+
+    def weights(sample: TransitionSample) -> torch.Tensor:
+        """How often each piece is drawn; the first row is the sample as it is."""
+        p = sample.piece.max() + 1
+        draws = rng.multinomial(p, np.full(p, 1 / p), BOOTSTRAP_DRAWS)
+        return torch.from_numpy(np.concatenate([np.ones((1, p)), draws])).float()
+
+    v = weights(real)
+    spread = real.mean_distance(real, v, v)
+
+    def distance(sample: TransitionSample) -> torch.Tensor:
+        w = weights(sample)
+        return 2 * sample.mean_distance(real, w, v) - sample.mean_distance(sample, w, w) - spread
+
+    one, other = distance(before), distance(after)
+    worse = other - one
+    low, high = np.nanquantile(worse[1:].numpy(), [0.025, 0.975])  # a draw of one piece alone has no spread: NaN
+    return {
+        "before": round(float(one[0]), 4),
+        "after": round(float(other[0]), 4),
+        "worse_by": round(float(worse[0]), 4),
+        "ci95": [round(float(low), 4), round(float(high), 4)],
+        "rolled_back": bool(low > 0),
+        "held_out_pieces": int(real.piece.max()) + 1,
+        "held_out_steps": len(real.values),
+    }
+
+
+def rollback_sentence(result: dict) -> str:
+    """The decision as a sentence."""
+    low, high = result["ci95"]
+    verdict = "F is rolled back: it is clearly worse" if result["rolled_back"] else "F is kept: it is not clearly worse"
+    return (
+        f"{verdict} than the one before on {result['held_out_steps']} held-out target steps; residual "
+        f"{result['after']:.3g} against {result['before']:.3g}, difference {result['worse_by']:+.3g} "
+        f"(95 %: {low:+.3g} to {high:+.3g})"
+    )

@@ -1,0 +1,57 @@
+"""Batch and rollout sizes, and constructors of the modules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+
+
+@dataclass(frozen=True)
+class ModuleFactories:
+    """Constructors of the modules with everything set but what the task and data determine."""
+
+    state_predictor: Callable[..., StatePredictor]
+    visual: Callable[..., VisualTransformation]
+    dynamics: Callable[..., ActionTransformation]
+    policy: Callable[..., AsymmetricSAC]
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """How data reach the modules.
+
+    Args:
+        state_predictor_batch: frame stacks in a batch of the state predictor.
+        visual_batch: frame stacks of either domain in a batch of the visual transformation.
+        num_envs: simulations that SAC acts in side by side.
+        updates_per_step: SAC critic updates for each environment step.
+        policy_batch: transitions in a SAC minibatch.
+        buffer_size: transitions kept for SAC.
+        warmup_steps: environment steps before SAC's first update (random actions for a new policy).
+        garat_envs: simulations that GARAT rolls out side by side.
+        garat_exploring: share of them that explore, compared with the target's task-agnostic data; 0 leaves
+            GARAT to the current policy's data alone (the paper).
+        garat_rollout: environment steps in one GARAT rollout, over all simulations.
+        garat_start: what F is before GARAT: the ``identity`` (the paper), or what trajectory ``matching`` gives, an
+            affine law under which short replays in the source follow the target's recordings.
+        trial_episodes: episodes in the grounded source, with its reward, on which a policy must do as well after its
+            training there as before, or the one before is kept; 0 always goes on with the newest (the paper).
+        garat_ridge: with ``matching``, weight of the squared coefficients.
+    """
+
+    state_predictor_batch: int = 32
+    visual_batch: int = 1
+    num_envs: int = 1
+    updates_per_step: int = 1
+    policy_batch: int = 32
+    buffer_size: int = 10_000
+    warmup_steps: int = 1000
+    garat_envs: int = 10
+    garat_exploring: float = 0.0
+    garat_rollout: int = 5000
+    garat_start: Literal["identity", "matching"] = "identity"
+    garat_ridge: float = 1e4
+    trial_episodes: int = 0

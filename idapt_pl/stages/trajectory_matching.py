@@ -1,0 +1,196 @@
+"""A first F by trajectory matching: short replays of the target's recordings in the source, before GARAT refines it.
+
+As in grounded action transformation (Hanna & Stone 2017), F should make the source move as the target was seen to
+move; here through the simulator rather than through two learned models, since the source can be put into any state.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from torch import Tensor
+
+from idapt_pl.tasks import Task
+
+log = logging.getLogger(__name__)
+CLEARLY_BETTER = 1.5
+"""A law is preferred to a simpler one if the simpler one leaves this many times as much on held-out episodes."""
+
+ActionLaw = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(parameters (p,), states (n, state_dim), target actions (n, nu)) to source actions (n, nu)."""
+
+
+@dataclass(frozen=True)
+class MatchingWindows:
+    """Windows of what was seen of the target: positions (n, H+1, nq) and the actions between them (n, H, nu)."""
+
+    qpos: np.ndarray
+    actions: np.ndarray
+    episode: np.ndarray
+
+    def part(self, rows: np.ndarray) -> MatchingWindows:
+        """Some of the windows."""
+        return MatchingWindows(self.qpos[rows], self.actions[rows], self.episode[rows])
+
+
+def cut_windows(qpos: np.ndarray, actions: np.ndarray, first: np.ndarray, length: int, stride: int) -> MatchingWindows:
+    """Cut sightings of whole episodes into windows that do not cross an episode's end.
+
+    Args:
+        qpos: of every observation, (N, nq).
+        actions: at every observation (anything at an episode's last), (N, nu).
+        first: index of the first observation of each observation's episode, (N,).
+        length: control steps in a window, H.
+        stride: between the starts of windows.
+    """
+    starts = np.arange(0, len(qpos) - length, stride)
+    starts = starts[first[starts] == first[starts + length]]
+    if not len(starts):
+        raise ValueError(f"no episode in the target lasts {length} control steps, which trajectory matching needs")
+    return MatchingWindows(
+        np.stack([qpos[starts + j] for j in range(length + 1)], 1).astype(float),
+        np.stack([actions[starts + j] for j in range(length)], 1).astype(float),
+        first[starts],
+    )
+
+
+class TrajectoryMatching:
+    """Least squares over parameters of an action law; every window's first state is free and projected out.
+
+    Args:
+        task: gives the state vector and the control period.
+        model: of the source.
+        seen: what to match.
+        act: the action law.
+    """
+
+    def __init__(self, task: Task, model: mujoco.MjModel, seen: MatchingWindows, act: ActionLaw) -> None:
+        self.task, self.model, self.seen, self.act = task, model, seen, act
+        self.data = [mujoco.MjData(model) for _ in range(2)]
+        self.dt = task.period(model)
+
+    def replay(self, parameters: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Positions along every window, (n, (H+1) nq)."""
+        m = self.model
+        low, high = m.actuator_ctrlrange.T
+        substeps = self.task.frame_skip * self.task.action_repeat
+        x = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], 1)
+        seen = [qpos]
+        for j in range(self.seen.actions.shape[1]):
+            states = x[:, 1 : 1 + m.nq + m.nv]
+            u = np.clip(self.act(parameters, states, self.seen.actions[:, j]), low, high)
+            after, _ = rollout.rollout(m, self.data, x, np.repeat(u[:, None], substeps, 1), persistent_pool=True)
+            x = after[:, -1]
+            seen.append(x[:, 1 : 1 + m.nq])
+        return np.stack(seen, 1).reshape(len(qpos), -1)
+
+    def fit(
+        self, parameters: np.ndarray, free: np.ndarray, ridge: float, iterations: int = 8
+    ) -> tuple[np.ndarray, float]:
+        """Gauss-Newton with Huber weights over the parameters with the indices ``free``; none scores them as they are.
+
+        Returns:
+            The parameters and the robust scale of what is left, m or rad.
+        """
+        m, seen = self.model, self.seen
+        n, nq = len(seen.qpos), m.nq
+        qpos, qvel = seen.qpos[:, 0].copy(), (seen.qpos[:, 1] - seen.qpos[:, 0]) / self.dt
+        target, p, scale = seen.qpos.reshape(n, -1), parameters.astype(float).copy(), 1.0
+        for _ in range(iterations):
+            base = self.replay(p, qpos, qvel)
+            left = target - base
+            steps = 1e-4 * np.eye(nq + m.nv)
+            S = np.stack([(self.replay(p, qpos + s[:nq], qvel + s[nq:]) - base) / 1e-4 for s in steps], -1)
+            J = [(self.replay(p + s, qpos, qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))[free]]
+            J = np.stack(J, -1) if J else np.zeros((*base.shape, 0))
+            Q = np.linalg.qr(S)[0]
+            r, K = (v - Q @ (Q.transpose(0, 2, 1) @ v) for v in (left[..., None], J))
+            scale = 1.4826 * float(np.median(np.abs(r)))
+            weight = 1.0 / np.maximum(1.0, np.abs(r) / (3 * scale)) / scale**2
+            A = np.einsum("nij,nik->jk", K * weight, K) + ridge * np.eye(len(free))
+            move = np.linalg.solve(A, np.einsum("nij,ni->j", K * weight, r[..., 0]) - ridge * p[free])
+            p[free] += move
+            start = np.einsum("nij,nj->ni", np.linalg.pinv(S), left - J @ move)
+            qpos, qvel = qpos + np.clip(start[:, :nq], -0.05, 0.05), qvel + np.clip(start[:, nq:], -1.0, 1.0)
+        return p, scale
+
+
+@torch.no_grad()
+def initialise_by_matching(
+    F,
+    task: Task,
+    model: mujoco.MjModel,
+    states: Tensor,
+    actions: Tensor,
+    first: np.ndarray,
+    ridge: float,
+    length: int = 5,
+) -> float:
+    """Set F's affine part by trajectory matching on estimated target states. Returns the robust remainder.
+
+    Args:
+        F: the action transformation; its features must be standardised states (``encoder: supervised``).
+        task: the task, whose state must be its positions followed by its velocities.
+        model: of the source.
+        states: estimated from the target's images, in units, (N, state_dim).
+        actions: (N, nu).
+        first: index of the first observation of each observation's episode.
+        ridge: weight of the squared coefficients, against the noise of the estimates.
+        length: control steps in a window.
+    """
+    if model.nq + model.nv != states.shape[1]:
+        raise ValueError(f"trajectory matching needs a state of positions and velocities; {task.name} has another one")
+    nu = len(F.low)
+
+    def law(parameters: np.ndarray, state: np.ndarray, action: np.ndarray) -> np.ndarray:
+        a = torch.from_numpy(action).float()
+        x = F.agent_input((torch.from_numpy(state).float() - F.encoder.mean) / F.encoder.std, a)
+        weights = torch.from_numpy(parameters).float().view(nu, -1)
+        return F.apply_residual(a, x @ weights[:, :-1].T + weights[:, -1]).double().numpy()
+
+    seen = cut_windows(states[:, : model.nq].numpy(), actions.numpy(), first, length, stride=max(1, length // 2))
+    sizes = model.nq, model.nv, nu
+    fitted, left = simplest_predictive_law(lambda part: TrajectoryMatching(task, model, part, law), seen, *sizes, ridge)
+    weights = torch.from_numpy(fitted).float().view(nu, -1)
+    F.affine.weight.copy_(weights[:, :-1])
+    F.affine.bias.copy_(weights[:, -1])
+    return left
+
+
+def simplest_predictive_law(
+    match: Callable[[MatchingWindows], TrajectoryMatching],
+    seen: MatchingWindows,
+    nq: int,
+    nv: int,
+    nu: int,
+    ridge: float,
+) -> tuple[np.ndarray, float]:
+    """Fit laws of the actions, of positions too, of velocities too; keep the simplest that predicts well.
+
+    Estimated velocities are noisy and, where things fall, proportional to positions; a law that may use both trades
+    one for the other, and is wrong wherever they part. What a law leaves is mostly systematic errors of the estimates,
+    which more coefficients explain a little of, on held-out episodes too: a larger law must be clearly better.
+
+    Returns:
+        Parameters (nu * (nq + nv + nu + 1),), refitted on all windows, and the robust scale of what is left, m or rad.
+    """
+    columns = np.arange(nu * (nq + nv + nu + 1)).reshape(nu, -1)
+    position, _, action = np.split(columns[:, :-1], [nq, nq + nv], 1)
+    base = np.concatenate([action, columns[:, -1:]], 1)
+    laws = [base, np.concatenate([base, position], 1), columns]
+    odd = np.unique(seen.episode, return_inverse=True)[1] % 2 == 1
+    if not odd.any():  # one long episode
+        odd[len(odd) // 2 :] = True
+    fit, held_out = match(seen.part(~odd)), match(seen.part(odd))
+    zero = np.zeros(columns.size)
+    fitted = [fit.fit(zero, law.ravel(), ridge)[0] for law in laws]
+    scores = [held_out.fit(p, np.zeros(0, int), ridge, 3)[1] for p in fitted]
+    best = next(i for i, score in enumerate(scores) if score <= CLEARLY_BETTER * min(scores))
+    log.info("what laws of actions, positions, velocities leave on held-out episodes: %s", np.round(scores, 6).tolist())
+    return match(seen).fit(fitted[best], laws[best].ravel(), ridge, 4)
