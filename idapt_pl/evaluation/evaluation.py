@@ -9,12 +9,12 @@ from contextlib import closing
 from pathlib import Path
 
 from idapt_pl.evaluation.paired import paired_errors
-from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
 from idapt_pl.files import write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
+from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 

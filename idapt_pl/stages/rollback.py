@@ -20,8 +20,8 @@ import torch
 from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
-from idapt_pl.rl.transition_distance import ROLLOUTS, grounded_rollouts, standardised_transitions
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.rl.transition_distance import ROLLOUTS, grounded_rollouts, standardised_transitions
 from idapt_pl.worlds import Worlds
 
 BOOTSTRAP_DRAWS = 2000

@@ -19,9 +19,9 @@ from datamodules.stacks import FrameStacks
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.estimation.energy import energy_distance
-from idapt_pl.rl.transition_distance import half_of_episodes, transition_residual
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.rl.collect import collect
+from idapt_pl.rl.transition_distance import half_of_episodes, transition_residual
 from idapt_pl.stages.fitting import Fitting
 from idapt_pl.stages.rollback import (
     TransitionSample,

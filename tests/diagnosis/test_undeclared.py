@@ -3,21 +3,20 @@
 import ast
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from datamodules import read_trajectories
 
-ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed
 
-from benchmarks.undeclared import hidden  # noqa: E402
-from benchmarks.undeclared.cases import CASES, FINE, SAME  # noqa: E402
-from benchmarks.undeclared.generate import effect_size, generate, simulate, true_model  # noqa: E402
-from benchmarks.undeclared.models import ASSETS, MODELS, nominal_xml  # noqa: E402
+from benchmarks.undeclared import hidden
+from benchmarks.undeclared.cases import CASES, FINE, SAME
+from benchmarks.undeclared.generate import effect_size, generate, simulate, true_model
+from benchmarks.undeclared.models import ASSETS, MODELS, nominal_xml
 
 
 @pytest.fixture(params=MODELS)
