@@ -102,8 +102,8 @@ def by_stage(rows: Iterable[Row]) -> list[list[float]]:
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table for a page."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    above, *below = (f"| {' | '.join(line)} |" for line in (head, *rows))
+    return "\n".join((above, "|---" * len(head) + "|", *below))
 
 
 def summary(results: Path = RESULTS) -> str:
