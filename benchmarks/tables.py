@@ -118,7 +118,7 @@ def summary(results: Path = RESULTS) -> str:
         lines.append(
             (f"{TASKS[task]}, {metric}", effects, str(seeds), *(mean_and_interval(m, metric) for m in measured))
         )
-    return markdown(("task", "effects", "seeds", "direct transfer", "step 0: G", "step 1: G and F", "oracle"), lines)
+    return markdown(("task", "effects", "seeds", "direct transfer", "step 0", "step 1", "oracle"), lines)
 
 
 def every_run(results: Path = RESULTS) -> str:
@@ -133,7 +133,7 @@ def every_run(results: Path = RESULTS) -> str:
             seeds, metric = " ".join(sorted({row["seed"] for row in mine})), mine[0].get("metric", "return")
             told = [mean_and_interval(values, metric) for values in by_stage(mine)]
             lines.append((f"`{table}.csv`", ", ".join(wanted), seeds, *told))
-    return markdown(("table", "run", "seeds", "direct transfer", "step 0: G", "step 1: G and F"), lines)
+    return markdown(("table", "run", "seeds", "direct transfer", "step 0", "step 1"), lines)
 
 
 def main() -> None:
