@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 import lightning as L
+from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
@@ -20,7 +21,6 @@ from cli.provenance import git_commit
 from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
-from gymnasium.vector import VectorEnv
 from idapt_pl.envs import BlindTarget, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.rl.collect import collect

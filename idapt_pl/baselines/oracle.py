@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import Trajectories
-from gymnasium.vector import VectorEnv
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
+
 from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.rl.exploration import random_policy
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from gymnasium.vector import VectorEnv
 from idapt_pl.effects import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules import StateSAC

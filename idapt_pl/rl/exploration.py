@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
+
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.policy import Policy
 

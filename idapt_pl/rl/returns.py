@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
+
 from idapt_pl.rl.policy import Policy
 
 

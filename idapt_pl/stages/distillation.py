@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from gymnasium.vector import VectorEnv
 from idapt_pl.envs import StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.rl.experience import Experience

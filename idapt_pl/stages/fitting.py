@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import (
     LabelledImages,
@@ -25,7 +26,6 @@ from datamodules.on_policy import encode_all, target_transitions
 from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
-from gymnasium.vector import VectorEnv
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.image_diagnosis.sensor import translate_episode
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, StateSAC, VisualTransformation
