@@ -13,7 +13,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect, elements
+from idapt_pl.effects.base import Effect, find_elements
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class CommandEffect(RuntimeEffect):
         raise NotImplementedError
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, "actuators", self.target)  # no MJCF for it; the target must exist all the same
+        find_elements(spec, "actuators", self.target)  # no MJCF for it; the target must exist all the same
 
 
 def replace_columns(command: Command, columns: list[int], edges: np.ndarray, values: np.ndarray) -> Command:
@@ -86,7 +86,7 @@ class ForceEffect(RuntimeEffect):
     """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, self.kind, self.target)
+        find_elements(spec, self.kind, self.target)
 
     kind: ClassVar[str] = "joints"
 
@@ -100,7 +100,7 @@ class SensingEffect(RuntimeEffect):
     """Something between a joint's motion and its measurement; target: a joint, or ``"*"``."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, "joints", self.target)
+        find_elements(spec, "joints", self.target)
 
     @abstractmethod
     def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
