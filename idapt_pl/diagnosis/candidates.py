@@ -45,7 +45,13 @@ value for all elements, ``.limit`` the candidate with that parameter. Effects th
 
 
 def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) -> TypicalSizes:
-    """Measure them."""
+    """Typical sizes in recordings of a model.
+
+    Args:
+        model: the nominal one.
+        data: its recordings; inertia and forces are taken at nine samples of each of the first eight.
+        horizon: how long predictions run, s.
+    """
     d, inertia, force = mujoco.MjData(model), [], []
     for r in data[:8]:
         for k in np.linspace(0, len(r.actions) - 1, 9).astype(int):

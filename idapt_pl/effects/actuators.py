@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect, find_elements, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, shared
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, with_shared
 from idapt_pl.effects.runtime import CommandEffect
 
 
@@ -23,11 +23,6 @@ def servos(model: mujoco.MjModel) -> list[int]:
     """Numbers of the actuators whose force depends on the position."""
     motors = dc_motors(model)
     return [i for i in range(model.nu) if i not in motors and model.actuator_biasprm[i, 1]]
-
-
-def with_shared(singles: list[Candidate]) -> list[Candidate]:
-    """The candidates whose target has a name, and one value for all of them."""
-    return [c for c in singles if c.target] + shared(singles)
 
 
 @dataclass(frozen=True)
@@ -113,13 +108,13 @@ class ActuatorKv(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         singles, motors = [], dc_motors(model)
-        for i in (i for i in range(model.nu) if i not in motors):
+        for i in range(model.nu):
             # where a joint is driven, this is its damping by another name; but only feedback can be taken away
-            if model.actuator_biasprm[i, 2] < 0 or model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
-                kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
-                singles.append(
-                    Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), starts=((0.3 * kv,),))
-                )
+            on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+            if i in motors or (on_joint and model.actuator_biasprm[i, 2] >= 0):
+                continue
+            kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
+            singles.append(Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), ((0.3 * kv,),)))
         return with_shared(singles)
 
 
@@ -146,10 +141,10 @@ class ActuatorBias(CommandEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        return with_shared([
-            Candidate(cls, name, ("bias",), (0.0,), (float(0.5 * typical.command[i]),))
-            for i, name in named_actuators(model)
-        ])  # fmt: skip
+        half = 0.5 * typical.command
+        return with_shared(
+            [Candidate(cls, name, ("bias",), (0.0,), (float(half[i]),)) for i, name in named_actuators(model)]
+        )
 
 
 @dataclass(frozen=True)
@@ -256,10 +251,11 @@ class ActuatorSaturation(CommandEffect):
     @classmethod
     def of_forces(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         """Limits of forces, for servos alone: a motor's force is its command, a servo's is not."""
-        found = []
-        for i in (i for i in servos(model) if model.actuator(i).name):
+        found, names = [], dict(named_actuators(model))
+        for i in servos(model):
             usual, limited = typical.force[i], model.actuator_forcelimited[i]
             widest = float(model.actuator_forcerange[i, 1] if limited else 10 * usual)
             starts = tuple((f * usual,) for f in (0.5, 1.0, 1.6))
-            found.append(Candidate(cls, model.actuator(i).name, ("force",), (widest,), (0.5 * usual,), starts))
+            if i in names:
+                found.append(Candidate(cls, names[i], ("force",), (widest,), (0.5 * usual,), starts))
         return found

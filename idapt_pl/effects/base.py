@@ -126,7 +126,8 @@ def find_elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
     found = [e for e in everything if target in ("*", e.name)]
     if not found:
         names = ", ".join(e.name or "<unnamed>" for e in everything)
-        raise ValueError(f"the model has no {kind[:-1]} named {target!r}; it has: {names or 'none'}")
+        singular = "body" if kind == "bodies" else kind[:-1]
+        raise ValueError(f"the model has no {singular} named {target!r}; it has: {names or 'none'}")
     return found
 
 

@@ -100,6 +100,11 @@ class TypicalSizes:
     force: np.ndarray
     horizon: float
 
+    @property
+    def torque(self) -> np.ndarray:
+        """What would stop each joint within a prediction, N·m or N, (nv,)."""
+        return self.inertia * self.speed / self.horizon
+
 
 def shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:
     """One value for all of a kind: none for fewer than two, or where their nominal values differ."""
@@ -107,6 +112,11 @@ def shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:
         return []
     scale = tuple(np.median([c.scale for c in singles], 0))
     return [dataclasses.replace(singles[0], target=target, scale=scale)]
+
+
+def with_shared(singles: list[Candidate]) -> list[Candidate]:
+    """The candidates whose target has a name, and one value for all of them."""
+    return [c for c in singles if c.target] + shared(singles)
 
 
 def scalar_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:

@@ -10,14 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect, find_elements, find_joints, parameter
-from idapt_pl.effects.candidate import (
-    Candidate,
-    TypicalSizes,
-    actuated_dofs,
-    one_per_joint,
-    scalar_joints,
-    shared,
-)
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, actuated_dofs, one_per_joint, scalar_joints, shared
 from idapt_pl.effects.runtime import ForceEffect
 
 
@@ -32,6 +25,11 @@ class JointEffect(Effect):
     @abstractmethod
     def edit(self, joint: Any) -> None:
         """Change one joint (``mujoco.MjsJoint``) in place."""
+
+
+def per_radian(spec: mujoco.MjSpec, joint: Any) -> float:
+    """What a model writes for 1 rad of a hinge (1 m of a slide): 180/π where its angles are in degrees, else 1."""
+    return 180 / np.pi if joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree else 1.0
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,8 @@ class JointFrictionloss(JointEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        scale = typical.inertia * typical.speed / typical.horizon
         further = (0.3, 1.0, 3.0, 10.0, 30.0)  # what sticks shows little of a small change
-        return one_per_joint(cls, "frictionloss", model, model.dof_frictionloss, scale, further)
+        return one_per_joint(cls, "frictionloss", model, model.dof_frictionloss, typical.torque, further)
 
 
 @dataclass(frozen=True)
@@ -99,25 +96,25 @@ class JointStiffness(JointEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        nominal, scale = model.jnt_stiffness, typical.inertia / typical.horizon**2
         singles = [
-            Candidate(
-                cls, name, ("stiffness",), (float(model.jnt_stiffness[j]),), (typical.inertia[v] / typical.horizon**2,)
-            )
+            Candidate(cls, name, ("stiffness",), (float(nominal[j]),), (scale[v],))
             for j, v, name in scalar_joints(model)
         ]
         return singles + shared(singles)
 
 
 @dataclass(frozen=True)
-class JointSpringref(JointEffect):
+class JointSpringref(Effect):
     """Where a joint's spring is at rest."""
 
     name: ClassVar[str] = "joint_springref"
     phrase: ClassVar[str] = "rest position of the spring on joint"
     springref: float = parameter("rad or m", -1e3, 1e3)
 
-    def edit(self, joint: Any) -> None:
-        joint.springref = self.springref
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for joint in find_joints(spec, self.target):
+            joint.springref = self.springref * per_radian(spec, joint)
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
@@ -174,8 +171,7 @@ class JointBacklash(Effect):
         felt = float(spec.copy().compile().joint(joint.name).M0[0])
         joint.armature = max(joint.armature, 0.01 * felt)
         play = joint.parent.add_joint(name=joint.name + PLAY_SUFFIX, type=joint.type, axis=joint.axis, pos=joint.pos)
-        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-        half = self.width / 2 * (180 / np.pi if turns and spec.compiler.degree else 1.0)
+        half = self.width / 2 * per_radian(spec, joint)
         play.limited, play.range = True, (-half, half)
         play.armature = play.frictionloss = play.margin = play.ref = play.springref = 0.0
         play.stiffness[:] = play.damping[:] = 0.0
@@ -185,9 +181,10 @@ class JointBacklash(Effect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         """Where an actuator drives the joint."""
         driven, found = actuated_dofs(model), []
-        for motion, name in ((typical.motion[v], name) for _, v, name in scalar_joints(model) if v in driven):
-            starts = tuple((f * motion,) for f in (0.03, 0.15))
-            found.append(Candidate(cls, name, ("width",), (0.0,), (0.1 * motion,), starts))
+        for _, v, name in scalar_joints(model):
+            if v in driven:
+                starts = tuple((f * typical.motion[v],) for f in (0.03, 0.15))
+                found.append(Candidate(cls, name, ("width",), (0.0,), (0.1 * typical.motion[v],), starts))
         return found
 
 
@@ -224,7 +221,7 @@ class JointStribeck(ForceEffect):
     @classmethod
     def candidate_on(cls, joint: str, v: int, typical: TypicalSizes) -> Candidate:
         """The candidate on the joint with degree of freedom ``v``."""
-        usual, torque = typical.speed[v], typical.inertia[v] * typical.speed[v] / typical.horizon
+        usual, torque = typical.speed[v], typical.torque[v]
         levels = ((0.1, 0.2), (0.3, 1.0))
         return Candidate(
             cls,
@@ -262,9 +259,12 @@ class JointCogging(ForceEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         """On hinges that turned through enough periods, with each number of periods that is likely."""
         found = []
-        for _, v, name in (t for t in scalar_joints(model) if model.jnt_type[t[0]] == mujoco.mjtJoint.mjJNT_HINGE):
-            torque = typical.inertia[v] * typical.speed[v] / typical.horizon
-            for n in (n for n in COGGING_PERIODS if typical.range[v] * n / (2 * np.pi) > COGGING_REPEATS):
-                fixed = (("periods", float(n)),)
-                found.append(Candidate(cls, name, ("sine", "cosine"), (0.0, 0.0), (torque, torque), fixed=fixed))
+        for j, v, name in scalar_joints(model):
+            if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
+                continue
+            scale = (typical.torque[v],) * 2
+            for n in COGGING_PERIODS:
+                if typical.range[v] * n / (2 * np.pi) > COGGING_REPEATS:
+                    fixed = (("periods", float(n)),)
+                    found.append(Candidate(cls, name, ("sine", "cosine"), (0.0, 0.0), scale, fixed=fixed))
         return found

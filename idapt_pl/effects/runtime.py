@@ -83,16 +83,20 @@ def delay_columns(command: Command, columns: list[int], by: float) -> Command:
 
 @dataclass(frozen=True)
 class ForceEffect(RuntimeEffect):
-    """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
+    """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``.
+
+    Attributes:
+        acts_on: what the target is, ``"joints"`` or ``"bodies"``.
+    """
+
+    acts_on: ClassVar[str] = "joints"
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        find_elements(spec, self.kind, self.target)
-
-    kind: ClassVar[str] = "joints"
+        find_elements(spec, self.acts_on, self.target)
 
     @abstractmethod
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Torques on the joints meant, from their (n, joints) positions and velocities."""
+        """Torques on the joints meant, (n, joints), from their positions and velocities; or a body's force, (n, 3)."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from idapt_pl.effects.base import find_elements, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, scalar_joints, shared
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, scalar_joints, with_shared
 from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
 
 
@@ -34,7 +34,7 @@ class ActuatorDelay(CommandEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         dt, starts = typical.dt, tuple((f * typical.dt,) for f in (0.5, 1.0, 2.0, 4.0))
         singles = [Candidate(cls, name, ("delay",), (0.0,), (dt,), starts) for _, name in named_actuators(model)]
-        return singles + shared(singles)
+        return with_shared(singles)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ class ActuatorLag(CommandEffect):
     """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
 
     A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
-    from the filter's state before, in the middle of or after it.
+    from the filter's state before, in the middle of or after it. A ``dcmotor`` has dynamics of its own, so MJCF has no
+    words for a lag in front of one: ``apply`` leaves it as it is.
     """
 
     name: ClassVar[str] = "actuator_lag"
@@ -89,6 +90,8 @@ class ActuatorLag(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR:
+                continue
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             actuator.dynprm[0] = self.time_constant
             if self.dead_time >= spec.option.timestep:
@@ -104,7 +107,7 @@ class ActuatorLag(CommandEffect):
             Candidate(cls, name, names, (0.0, 0.0), (dt, h), starts, span=span, strength=1)
             for _, name in named_actuators(model)
         ]
-        return singles + shared(singles)
+        return with_shared(singles)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def orbit_axes(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray
 
 @dataclass(frozen=True)
 class VisualEffect(Effect):
-    """An effect on images alone. Recorded motion cannot show it: :mod:`idapt_pl.appearance` finds it in images."""
+    """An effect on images alone. A diagnosis of motion cannot see it: :mod:`idapt_pl.appearance` looks for it."""
 
     searched: ClassVar[bool] = False
 

@@ -85,7 +85,7 @@ class ExternalForce(ForceEffect):
 
     name: ClassVar[str] = "external_force"
     phrase: ClassVar[str] = "a constant force on body"
-    kind: ClassVar[str] = "bodies"
+    acts_on: ClassVar[str] = "bodies"
     x: float = parameter("N", -1e6, 1e6, default=0.0)
     y: float = parameter("N", -1e6, 1e6, default=0.0)
     z: float = parameter("N", -1e6, 1e6, default=0.0)
