@@ -10,7 +10,7 @@ from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
 from idapt_pl.effects.world import Numerics
 
-ORDER = """
+CANDIDATE_ORDER = """
 joint_damping
 joint_frictionloss
 joint_armature
@@ -78,14 +78,14 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:
-    """Every candidate of every effect for a model, in :data:`ORDER`."""
+    """Every candidate of every effect for a model, in :data:`CANDIDATE_ORDER`."""
     model = spec.copy().compile()
     return in_order([c for kind in EFFECTS.values() for c in kind.candidates(model, typical)])
 
 
 def in_order(candidates: list[Candidate]) -> list[Candidate]:
-    """The candidates in :data:`ORDER`."""
-    lines = [line.split() for line in ORDER.strip().splitlines()]
+    """The candidates in :data:`CANDIDATE_ORDER`."""
+    lines = [line.split() for line in CANDIDATE_ORDER.strip().splitlines()]
     places = {entry: (i, k) for i, line in enumerate(lines) for k, entry in enumerate(line)}
 
     def place(c: Candidate) -> tuple[int, int]:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.candidates import ORDER, all_candidates, in_order, numerics_candidates, typical_sizes
+from idapt_pl.diagnosis.candidates import CANDIDATE_ORDER, all_candidates, in_order, numerics_candidates, typical_sizes
 from idapt_pl.diagnosis.data import Recording
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.candidate import TypicalSizes
@@ -52,7 +52,7 @@ def test_typical_sizes_are_those_of_the_recordings(model):
 
 
 def test_the_order_names_effects_that_there_are():
-    names = {entry.partition("(")[0].partition(".")[0] for entry in ORDER.split()}
+    names = {entry.partition("(")[0].partition(".")[0] for entry in CANDIDATE_ORDER.split()}
     assert names <= set(EFFECTS)
 
 
