@@ -18,7 +18,7 @@ from idapt_pl.diagnosis.noise import (
     whitener,
 )
 from idapt_pl.diagnosis.search import diagnose, split_episodes
-from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.diagnosis.verdict import correlation
 from idapt_pl.effects.joints import JointDamping
