@@ -132,7 +132,7 @@ def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | N
     passed = [t for t in trials if t.rejection is None]
     if not passed:
         return None, list(trials)
-    best, close = best_trial(passed)
+    best, close = best_and_close(passed)
     equivalent = [t for t in close if t is not best and indistinguishable(state, best, t)]
 
     def decided(t: Trial) -> Trial:
@@ -152,7 +152,7 @@ def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | N
     return replace(before, accepted=(*before.accepted, new)), [decided(t) for t in trials]
 
 
-def best_trial(passed: Sequence[Trial]) -> tuple[Trial, list[Trial]]:
+def best_and_close(passed: Sequence[Trial]) -> tuple[Trial, list[Trial]]:
     """The best, and those whose held-out error is close to it."""
     top = min(passed, key=lambda t: t.held_out + handicap(t))
     if top.held_out > FAR_LOSS:  # more is missing than this one: what bends to many shapes soaks it up
