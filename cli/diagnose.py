@@ -161,9 +161,9 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     layout = "{desc:<22} {percentage:3.0f}% |{bar}| {elapsed}"
     with tqdm(total=100, bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
 
-        def report(what: str, share: float) -> None:
+        def report(what: str, done: float) -> None:
             bar.set_description_str(what, refresh=False)
-            bar.n = max(bar.n, round(100 * share))
+            bar.n = max(bar.n, round(100 * done))
             bar.refresh()
 
         yield report

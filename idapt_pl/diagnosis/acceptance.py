@@ -106,8 +106,8 @@ def too_small_a_gain(context: SearchContext, t: Trial, level: float) -> str:
     if t.gain < s.relative_gain * level:
         return f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
     if not context.sim.velocities and not t.round and t.gain < CLEAR_GAIN * level:
-        share = f"{100 * t.gain / level:.0f} %"
-        return f"it removes {share} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
+        removed = f"{100 * t.gain / level:.0f} %"
+        return f"it removes {removed} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
     if t.gain < s.removable_gain * max(level - 1.0, 0.0):
         above = 100 * t.gain / (level - 1)
         return f"it removes {above:.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"

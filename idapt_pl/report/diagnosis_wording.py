@@ -93,8 +93,8 @@ def quiet_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]
 def gain_sentence(result: DiagnosisResult) -> str:
     """What adding the effects does to the held-out error."""
     error, them = result.error, "it" if len(result.effects) == 1 else "them"
-    share = error.removed_share
-    removes = f"removes {100 * share:.0f} % of the removable error" if share > 0 else "changes the error"
+    percent = f"{100 * error.removed_share:.0f} %"
+    removes = f"removes {percent} of the removable error" if error.removed_share > 0 else "changes the error"
     return (
         f"Adding {them} {removes} on episodes not used for fitting: from {format_number(error.before)} "
         f"to {format_number(error.after)} times the measurement noise."
