@@ -13,6 +13,7 @@ See docs/diagnose.md and docs/discovery.md.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,7 +29,6 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
 from cli.diagnose_images import forecast, read_images, report_looks
-from cli.run_folder import open_run
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -40,6 +40,7 @@ from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
+from idapt_pl.run import Run
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -57,8 +58,8 @@ EXAMPLES = """examples:
 """
 
 
-def main(args: list[str]) -> int:
-    """Run ``idapt diagnose``."""
+def command_line() -> argparse.ArgumentParser:
+    """The options of ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
     p.add_argument("--model", type=Path, help="nominal model (MJCF)")
     p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
@@ -83,6 +84,12 @@ def main(args: list[str]) -> int:
     )
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
+    return p
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt diagnose``."""
+    p = command_line()
     o = p.parse_args(args)
     if o.max_effects < 1:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
@@ -95,15 +102,15 @@ def main(args: list[str]) -> int:
     if o.run is None:
         model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
     else:
-        grounding = open_run(o.run)
+        run = Run.open(o.run)
         if o.looks:
-            report_looks(grounding, o.data, o.out, o.seed)
-        images = read_images(grounding, o.data)
-        source = grounding.worlds.source_domain
+            report_looks(run, o.data, o.out, o.seed)
+        images = read_images(run, o.data)
+        source = run.worlds.source_domain
         model, trajectories, how = source.spec(), images.readings.target, images.how(source)
     declared = read_effects(o.effects, model) if o.effects else ()
     if o.run is not None and images.readings.calibration.vague:
-        print_forecast_diagnosis(*forecast(grounding, images, o, declared), model.compile(), o.out)
+        print_forecast_diagnosis(*forecast(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:
