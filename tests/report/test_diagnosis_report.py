@@ -465,7 +465,7 @@ def test_help_teaches(capsys):
     for words in ("examples:", "idapt diagnose --model nominal.xml", "--hold-out", "report.html"):
         assert words in printed, words
     assert "(default: None)" not in printed
-    assert "idapt diagnose" in (ROOT / "docs" / "diagnose.md").read_text()
+    assert "idapt diagnose" in (ROOT / "docs" / "guide" / "diagnose.md").read_text()
 
 
 def test_episodes_are_listed_where_they_are_few():
