@@ -1,7 +1,0 @@
-"""None"""
-
-from __future__ import annotations
-
-import gymnasium
-
-VectorEnv = gymnasium.vector.VectorEnv
