@@ -163,7 +163,8 @@ class IterativeGrounding:
             return
 
         def make(seed: int) -> dict:
-            return discover_visual_effects(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
+            found = discover_visual_effects(self.worlds.task, self.worlds.source_domain, D_T, seed, self.worlds.view)
+            return found.to_dict()
 
         self._repair(0, self.stages.measure(0, "looks", make)["effects"])
 
@@ -179,7 +180,10 @@ class IterativeGrounding:
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
-            return discover_effects(worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen)
+            found = discover_effects(
+                worlds.source_domain, sensor, G, target, [control], self.effects, seed, worlds.seen
+            )
+            return found.to_dict()
 
         found = self.stages.measure(k, "effects", make)["effects"]
         self._repair(k, found)

@@ -27,7 +27,6 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from gymnasium.vector import VectorEnv
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.image_diagnosis.sensor import translate_episode
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, StateSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
@@ -183,7 +182,7 @@ class Fitting:
 
         def translated(seed: int) -> Trajectories:
             seen = read_all(source, also="state")
-            episodes = tuple(translate_episode(G, episode) for episode in seen)
+            episodes = tuple(G.translate_episode(episode) for episode in seen)
             return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
 
         data, _ = self.stages.record(step, "translated", translated)
