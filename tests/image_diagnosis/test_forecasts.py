@@ -11,7 +11,7 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.estimation.energy import energy_score
-from idapt_pl.image_diagnosis.discover import of_one_parameter
+from idapt_pl.image_diagnosis.forecast_diagnosis import of_one_parameter
 from idapt_pl.image_diagnosis.forecast_search import bracket_minimum, evaluate_at, first_values, refine_estimate
 from idapt_pl.image_diagnosis.forecasts import Forecaster, ObservedStart, pad_with_last, play_commands
 from idapt_pl.image_diagnosis.parabola import SYSTEMATIC_LOG_STD, parabola_minimum
