@@ -13,7 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 import lightning as L
-from gymnasium.vector import VectorEnv
+import numpy as np
 from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
@@ -21,8 +21,9 @@ from cli.provenance import git_commit
 from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
-from idapt_pl.envs import BlindTarget, VectorImageEnv
+from idapt_pl.envs import BlindTarget, ImageEnv, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
+from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.experts import RECIPES, acting_on_states, expert_folder, train_expert
 from idapt_pl.rl.exploration import random_policy
@@ -50,9 +51,10 @@ def main(args: list[str]) -> int:
         raise ValueError(f"--steps must be at least {len(kinds)}, got {o.steps}")
     task = make_task(o.task)
     checkpoints = {kind: expert(task, kind, o.seed, o.experts) for kind in kinds if kind != "random"}
-    env = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
+    recorded = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
+    env: ImageEnv = recorded
     if o.domain != "source":  # a target shows images and actions, whoever records it
-        env = BlindTarget(env, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
+        env = BlindTarget(recorded, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
     parts: list[Trajectories] = []
     with closing(env), tqdm(total=o.steps, unit="step", disable=not show_bar()) as bar:
         for i, kind in enumerate(kinds):
@@ -71,17 +73,17 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def counted(policy: Policy, bar: tqdm, env: VectorEnv) -> Policy:
+def counted(policy: Policy, bar: tqdm, env: ImageEnv) -> Policy:
     """The policy, moving the bar with every action."""
 
-    def act(pixels):
+    def act(pixels: np.ndarray) -> np.ndarray:
         bar.update(env.num_envs)
         return policy(pixels)
 
     return act
 
 
-def expert(task: Task, kind: str, seed: int, cache: Path):
+def expert(task: Task, kind: str, seed: int, cache: Path) -> tuple[StateSAC, str]:
     """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
     trained = task.backwards() if kind == "backwards" else task
     stages = Stages(expert_folder(cache, task, kind, seed), seed, plain_trainer)

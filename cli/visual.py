@@ -142,7 +142,7 @@ class VisualCLI(LightningCLI):
         self.options.ckpt_path = None  # loaded here, not by the Trainer
         return VisualTransformation.from_checkpoint(path)
 
-    def instantiate_trainer(self, **kwargs) -> L.Trainer:
+    def instantiate_trainer(self, **kwargs: Any) -> L.Trainer:
         """The Trainer of the config, logging to the run folder and keeping its last checkpoint."""
         config = self.options.trainer
         if config.logger in (None, True):

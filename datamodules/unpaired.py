@@ -19,7 +19,7 @@ from datamodules.trajectories import Trajectories, TrajectoryFileError, read_tra
 def read_all(paths: Sequence[Path | str], also: str | None = None) -> Trajectories:
     """The episodes of several trajectory files, in order; they must have images of one size, and ``also``."""
     parts = [read_trajectories(p) for p in paths]
-    sizes = {}
+    sizes: dict[tuple[int, ...], Path | str] = {}
     for path, part in zip(paths, parts, strict=True):
         for i, episode in enumerate(part):
             for name in ("pixels", also):

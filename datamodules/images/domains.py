@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import lightning as L
 from lightning.pytorch.utilities import CombinedLoader
@@ -19,7 +19,7 @@ from datamodules.images.still import OnBad, Reading, StillImages, from_dataset, 
 from datamodules.stacks import whole_batch
 
 log = logging.getLogger(__name__)
-Where = str | list[str] | Dataset | None
+Where: TypeAlias = str | list[str] | Dataset | None
 Images = StillImages | TrajectoryImages
 ROOT = {"source": "trainA", "target": "trainB", "test_source": "testA", "test_target": "testB"}
 """Folders below ``root``, as CycleGAN's datasets name them."""

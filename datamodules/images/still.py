@@ -44,7 +44,8 @@ class Reading:
 
     def fit(self, shape: Sequence[int]) -> Fitted:
         """The size, given that of an image."""
-        return Fitted(*self.size, self.how) if self.size else Fitted.nearest(*shape[:2], self.how)
+        height, width = self.size or shape[:2]
+        return Fitted(height, width, self.how) if self.size else Fitted.nearest(height, width, self.how)
 
 
 class StillImages(Dataset):
@@ -67,7 +68,8 @@ class StillImages(Dataset):
     frame_stack = 1
 
     def __init__(self, names: Sequence[str], read: Callable[[int], np.ndarray], reading: Reading, where: str) -> None:
-        self.read, self.where, self.labels = read, where, None
+        self.read, self.where = read, where
+        self.labels: np.ndarray | None = None
         self.fit = reading.fit(first_image(read, len(names)).shape)
         with ThreadPoolExecutor() as pool:  # decoding releases the interpreter's lock
             look = pool.map(partial(self.attempt, keep=reading.cache), range(len(names)))

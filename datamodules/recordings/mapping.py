@@ -88,6 +88,12 @@ class Mapping:
     clock: str | None = None
     source: str = "map"
 
+    @property
+    def velocities(self) -> list[Channel]:
+        """The joints' velocities, in the order of the map; empty unless all were measured."""
+        measured = [joint.velocity for joint in self.joints.values() if joint.velocity is not None]
+        return measured if len(measured) == len(self.joints) else []
+
     def columns(self) -> Iterator[str]:
         """Every column that the map names; the first is the first joint's position."""
         for joint in self.joints.values():

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -37,14 +37,14 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
             topics = _read_topics(path, f, list(mapping.columns()))
     except (McapError, EOFError) as error:
         raise RecordingError(f"{path}: not a readable MCAP file (truncated or of another kind): {error!r}") from None
-    clock = mapping.clock or _topic_of(next(mapping.columns()), topics)
+    clock = mapping.clock or next(iter(topics))  # the first column's
     if clock not in topics:
         raise RecordingError(f"{path}: the map's clock: no topic {clock!r}; " + choices(clock, topics, "topics are"))
     return [Recorded(str(path), _on_rows_of(clock, topics))]
 
 
-def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, Any]]]:
-    """Flattened messages, in order of log time, of the topics that the wanted columns come from."""
+def _read_topics(path: Path, f: BinaryIO, wanted: list[str]) -> dict[str, list[dict[str, Any]]]:
+    """Flattened messages, in order of log time, of the topics that the wanted columns come from, in their order."""
     from mcap.reader import make_reader
 
     reader = make_reader(f)
@@ -52,13 +52,14 @@ def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, A
     names = _topic_names(reader)
     if not names:
         raise RecordingError(f"{path}: is empty; expected messages")
+    topics: dict[str, list[dict[str, Any]]] = {}
     for column in wanted:
-        if _topic_of(column, names) is None:
+        if (topic := _topic_of(column, names)) is None:
             raise RecordingError(
                 f"{path}: column {column!r} is of no topic in it; expected <topic>.<field>, topics are: "
                 + listing(sorted(names))
             )
-    topics = {_topic_of(column, names): [] for column in wanted}
+        topics[topic] = []
     for schema, channel, message in reader.iter_messages(topics=list(topics)):
         flat = {"log_time": message.log_time, "publish_time": message.publish_time}
         flat |= _flatten(_decode(path, factories, schema, channel, message))
@@ -66,7 +67,7 @@ def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, A
     return topics
 
 
-def _topic_names(reader) -> set[str]:
+def _topic_names(reader: Any) -> set[str]:
     """Topics with messages; a recording that was cut short has no summary, so its messages are walked."""
     summary = reader.get_summary()
     if summary is not None and summary.channels:
@@ -74,7 +75,7 @@ def _topic_names(reader) -> set[str]:
     return {channel.topic for _, channel, _ in reader.iter_messages()}
 
 
-def _topic_of(column: str, topics) -> str | None:
+def _topic_of(column: str, topics: Iterable[str]) -> str | None:
     """The longest topic that a column's name begins with."""
     return max((t for t in topics if column.startswith(f"{t}.")), key=len, default=None)
 
@@ -82,7 +83,7 @@ def _topic_of(column: str, topics) -> str | None:
 class JsonDecoder:
     """Messages that are JSON, in the shape that mcap expects of a decoder factory."""
 
-    def decoder_for(self, message_encoding: str, schema):
+    def decoder_for(self, message_encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
         return json.loads if message_encoding == "json" else None
 
 
@@ -95,7 +96,7 @@ def _decoder_factories() -> Iterator:
             continue
 
 
-def _decode(path: Path, factories: list, schema, channel, message) -> Any:
+def _decode(path: Path, factories: list, schema: Any, channel: Any, message: Any) -> Any:
     for factory in factories:
         if decoder := factory.decoder_for(channel.message_encoding, schema):
             try:
@@ -121,7 +122,7 @@ def _flatten(message: Any, name: str = "") -> dict[str, Any]:
     if fields is not None:
         if (stamp := _stamp(fields)) is not None:
             return {name: stamp}
-        flat = {}
+        flat: dict[str, Any] = {}
         labels = fields.get("name")
         for key, value in fields.items():
             flat |= _labelled(f"{name}.{key}" if name else str(key), value, None if key == "name" else labels)

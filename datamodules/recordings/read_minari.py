@@ -48,9 +48,9 @@ def _number(episode: str) -> tuple[int, str]:
 
 
 def _columns(group: h5py.Group) -> dict[str, np.ndarray]:
-    arrays = {}
+    arrays: dict[str, h5py.Dataset] = {}
     group.visititems(lambda name, item: arrays.update({name: item}) if isinstance(item, h5py.Dataset) else None)
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for name, dataset in arrays.items():
         if 1 <= dataset.ndim <= 2 and dataset.dtype.kind in "fiub":
             columns |= flat_columns(name, dataset[()])
@@ -78,7 +78,7 @@ def _nested(value: Any, name: str = "") -> dict[str, np.ndarray]:
     if not isinstance(value, dict):
         array = np.asarray(value)
         return flat_columns(name, array) if array.dtype.kind in "fiub" else {}
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for key, part in value.items():
         columns |= _nested(part, f"{name}/{key}" if name else key)
     return columns

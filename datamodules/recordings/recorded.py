@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class Recorded:
         ]
 
 
-def is_number(text: object) -> bool:
+def is_number(text: Any) -> bool:
     """Whether a cell reads as a number."""
     try:
         float(text)

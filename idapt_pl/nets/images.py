@@ -41,11 +41,12 @@ def center_crop(images: Shaped[Tensor, "*b h w"], size: int | Sequence[int]) -> 
     return images[..., top : top + height, left : left + width]
 
 
-def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int) -> UInt8[Tensor, "b k size size 3"]:
-    """A random ``size`` x ``size`` window for each stack; on bytes, before they become four times as many."""
+def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int | Sequence[int]) -> UInt8[Tensor, "b k height width 3"]:
+    """A random window (a side, or height and width) for each stack; on bytes, before they are four times as many."""
     b, _, h, w, _ = pixels.shape
-    tops, lefts = (torch.randint(n - size + 1, (b,)).tolist() for n in (h, w))
-    windows = [p[:, t : t + size, s : s + size] for p, t, s in zip(pixels, tops, lefts, strict=True)]
+    height, width = height_width(size)
+    tops, lefts = torch.randint(h - height + 1, (b,)).tolist(), torch.randint(w - width + 1, (b,)).tolist()
+    windows = [p[:, t : t + height, s : s + width] for p, t, s in zip(pixels, tops, lefts, strict=True)]
     return torch.stack(windows)
 
 

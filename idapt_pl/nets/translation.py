@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -46,11 +47,11 @@ class _GradientLikeInput(torch.autograd.Function):
     """To channels last, and the gradient back from there: all layers before would get theirs so, and be slower."""
 
     @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
         return x.contiguous(memory_format=torch.channels_last)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor) -> Tensor:
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
         return gradient.contiguous()
 
 
@@ -115,7 +116,13 @@ class ResnetGenerator(nn.Module):
 
     @torch.no_grad()
     def start_from(self, image: Float[Tensor, "c h w"]) -> None:
-        """Begin as the net that gives this image, -1..1, whatever it is shown."""
+        """Begin as the net that gives this image, -1..1, whatever it is shown.
+
+        Raises:
+            ValueError: if the net was made without a background.
+        """
+        if self.background is None:
+            raise ValueError("this generator has no background to start from; make it with background=(height, width)")
         self.background.copy_(torch.atanh(image.clamp(-0.99, 0.99)))
         nn.init.zeros_(self.body[-1].weight)
         nn.init.zeros_(self.body[-1].bias)

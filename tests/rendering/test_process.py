@@ -126,7 +126,7 @@ def test_it_ends_with_the_program_that_started_it(file):
     program = f"""
 import mujoco, numpy as np, os, signal, idapt_pl
 from pathlib import Path
-from idapt_pl.domains.render_process import RenderProcess
+from idapt_pl.rendering.process import RenderProcess
 model = mujoco.MjModel.from_binary_path({str(file)!r})
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
