@@ -1,4 +1,4 @@
-"""``idapt visual``: the visual transformation on its own, between any two sets of images; see docs/visual.md."""
+"""``idapt visual``: the visual transformation on its own, between any two sets of images; see docs/guide/images.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories and the HDF5 file they live in (Minari's episode layout; see docs/trajectory_file.md)."""
+"""Trajectories and the HDF5 file they live in (Minari's episode layout; see docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def open_trajectory_file(path: Path | str) -> h5py.File:
     if missing := [k for k in ("total_episodes", "total_steps", "dt") if k not in f.attrs]:
         f.close()
         raise TrajectoryFileError(
-            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/trajectory_file.md"
+            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/reference/files.md"
         )
     return f
 

@@ -1,4 +1,4 @@
-"""The map: a small YAML file that says which column is which joint, actuator and time (docs/import.md)."""
+"""The map: a small YAML file that says which column is which joint, actuator and time (docs/guide/import.md)."""
 
 from __future__ import annotations
 
@@ -114,11 +114,11 @@ def read_mapping(path: Path | str) -> Mapping:
     """
     path = Path(path)
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file; expected the map, see docs/import.md")
+        raise RecordingError(f"{path}: no such file; expected the map, see docs/guide/import.md")
     try:
         return parse_mapping(yaml.load(path.read_text(), UniqueKeys), str(path))  # a SafeLoader
     except UnicodeDecodeError:
-        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/import.md") from None
+        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/guide/import.md") from None
     except yaml.YAMLError as error:
         raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
 
@@ -148,7 +148,7 @@ def _mapping(content: Any, source: str) -> Mapping:
     time, dt = _clock(top)
     joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
     if not any(not joint.position.constant for joint in joints.values()):
-        raise RecordingError("joints: expected at least one joint with a position column; see docs/import.md")
+        raise RecordingError("joints: expected at least one joint with a position column; see docs/guide/import.md")
     actuators = {
         name: _channel(f"actuators.{name}", value, actuator_unit)
         for name, value in _names("actuators", top.get("actuators"))

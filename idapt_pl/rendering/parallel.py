@@ -63,7 +63,7 @@ class ParallelRenderer:
     def __call__(self, data: Sequence[mujoco.MjData]) -> np.ndarray:
         """Render. Returns uint8 (n, size, size, 3)."""
         shares = np.array_split(np.arange(len(data)), min(len(data), self._shares))
-        own = np.arange(0) if self._own is None else shares.pop(0)
+        own = np.arange(0) if self._elsewhere else shares.pop(0)
         frames = np.empty((len(data), self._size, self._size, 3), np.uint8)
         processes = self._processes(len(shares))
         try:

@@ -104,7 +104,7 @@ def test_an_error_here_leaves_no_stale_frames_for_the_next_call(cart, model, exp
 
 
 def test_models_drawn_elsewhere_change_processes_after_their_lifetime(model, expected, monkeypatch):
-    monkeypatch.setattr(parallel, "LIFETIME", 6)
+    monkeypatch.setattr(parallel, "FRAMES_PER_PROCESS", 6)
     with closing(ParallelRenderer(model, SIZE)) as render:
         render._elsewhere, pids = True, []  # as where Filament draws
         monkeypatch.setattr(parallel, "_others", [])
