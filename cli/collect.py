@@ -18,17 +18,16 @@ from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
 from cli.provenance import git_commit
-from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
 from idapt_pl.envs import BlindTarget, ImageEnv, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
-from idapt_pl.modules.state_policy import StateSAC
+from idapt_pl.modules import StateSAC
 from idapt_pl.rl.collect import collect
-from idapt_pl.rl.experts import RECIPES, acting_on_states, expert_folder, train_expert
+from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import random_policy
 from idapt_pl.rl.policy import Policy
-from idapt_pl.stage import Stages
+from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.tasks import TASKS, Task, make_task
 
 POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+expert")
@@ -58,7 +57,8 @@ def main(args: list[str]) -> int:
     parts: list[Trajectories] = []
     with closing(env), tqdm(total=o.steps, unit="step", disable=not show_bar()) as bar:
         for i, kind in enumerate(kinds):
-            policy = acting_on_states(checkpoints[kind][0], env) if kind in checkpoints else random_policy(env, o.seed)
+            expert_policy = checkpoints.get(kind)
+            policy = acting_on_states(expert_policy[0], recorded) if expert_policy else random_policy(env, o.seed)
             share = o.steps * (i + 1) // len(kinds) - o.steps * i // len(kinds)
             L.seed_everything(o.seed, verbose=False)  # experts draw their actions
             parts.append(collect(env, counted(policy, bar, env), share, o.seed + i, ""))
@@ -86,7 +86,19 @@ def counted(policy: Policy, bar: tqdm, env: ImageEnv) -> Policy:
 def expert(task: Task, kind: str, seed: int, cache: Path) -> tuple[StateSAC, str]:
     """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
     trained = task.backwards() if kind == "backwards" else task
-    stages = Stages(expert_folder(cache, task, kind, seed), seed, plain_trainer)
-    policy = train_expert(trained, task.domain("source"), RECIPES[task.name], stages, "policy")
+    stages = Stages(cache / f"{task.name}_{kind}_{seed}", seed, cpu_trainer)
+    policy = train_expert(trained, task.domain("source"), task.expert, stages, "policy")
     checkpoint = stages.folder(0) / "policy" / "final.ckpt"
     return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+
+
+def acting_on_states(policy: StateSAC, env: VectorImageEnv) -> Policy:
+    """A policy on states as one that is asked with images: it reads the simulations behind them.
+
+    In a target that is the true state, which nothing that learns may see; the file that is written does not hold it.
+    """
+
+    def act(pixels: np.ndarray) -> np.ndarray:
+        return policy.act(np.asarray([env.task.state(env.model, data) for data in env.data], np.float32))
+
+    return act

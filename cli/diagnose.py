@@ -28,7 +28,6 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
 from cli.diagnose_images import forecast, read_images, report_looks
-from cli.run_folder import open_run
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -39,6 +38,7 @@ from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, verdict_in_words
+from idapt_pl.run import Run
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -94,15 +94,15 @@ def main(args: list[str]) -> int:
     if o.run is None:
         model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
     else:
-        grounding = open_run(o.run)
+        run = Run.open(o.run)
         if o.looks:
-            report_looks(grounding, o.data, o.out, o.seed)
-        images = read_images(grounding, o.data)
-        source = grounding.worlds.source_domain
+            report_looks(run, o.data, o.out, o.seed)
+        images = read_images(run, o.data)
+        source = run.worlds.source_domain
         model, trajectories, how = source.spec(), images.readings.target, images.how(source)
     declared = read_effects(o.effects, model) if o.effects else ()
     if o.run is not None and images.readings.calibration.vague:
-        print_report(*forecast(grounding, images, o, declared), model.compile(), o.out)
+        print_report(*forecast(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:

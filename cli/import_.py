@@ -1,4 +1,4 @@
-"""``idapt import``: turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file; see docs/guide/import.md."""
+"""``idapt import``: recordings (CSV, NPZ, Minari, LeRobot, MCAP) as a trajectory file; see docs/guide/import.md."""
 
 from __future__ import annotations
 

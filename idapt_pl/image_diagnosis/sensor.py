@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +50,7 @@ class ImageSensor:
 
     def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
         """``qpos`` and ``qvel`` of one episode."""
-        seen = FrameStacks([episode if G is None else translate_episode(G, episode)], self.frame_stack)
+        seen = FrameStacks([episode if G is None else G.translate_episode(episode)], self.frame_stack)
         return self.task.motion(estimate_states(seen, self.predictor), dt)
 
 
@@ -61,14 +61,3 @@ def estimate_states(images: FrameStacks, predictor: PixelStatePredictor, chunk: 
     parts = np.array_split(np.arange(len(images)), len(images) // chunk + 1)
     seen = (torch.from_numpy(images.stacks(p)).to(device) for p in parts)
     return np.concatenate([predictor.predict(s).cpu().numpy() for s in seen]).astype(float)
-
-
-def translate_episode(G: VisualTransformation, episode: Episode) -> Episode:
-    """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
-    pixels = episode.observations["pixels"]
-    if G.frames > 1:
-        stacks = FrameStacks([episode], G.frames).stacks(np.arange(len(pixels)))
-        pixels = G.translate(stacks)[:, -1]
-    else:
-        pixels = G.translate(pixels[:, None])[:, 0]
-    return replace(episode, observations={**episode.observations, "pixels": pixels})

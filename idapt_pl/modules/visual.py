@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -17,6 +17,8 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchvision.utils import make_grid
 
+from datamodules import Episode
+from datamodules.stacks import FrameStacks
 from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.manual import ManualModule, fast_precision
@@ -189,6 +191,16 @@ class VisualTransformation(ManualModule):
         with fast_precision(self.device, self.hparams.bf16):
             fake = self.translator(stack_channels(torch.from_numpy(pixels).to(self.device)))
         return to_pixels(fake.unflatten(1, (k, 3))).cpu().numpy().reshape(n, k, h, w, 3)
+
+    def translate_episode(self, episode: Episode) -> Episode:
+        """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
+        pixels = episode.observations["pixels"]
+        if self.frames > 1:
+            stacks = FrameStacks([episode], self.frames).stacks(np.arange(len(pixels)))
+            pixels = self.translate(stacks)[:, -1]
+        else:
+            pixels = self.translate(pixels[:, None])[:, 0]
+        return replace(episode, observations={**episode.observations, "pixels": pixels})
 
     def translate_stacks(self, pixels: Tensor, back: bool = False) -> Tensor:
         """Whole stacks, uint8 (B, K, H, W, 3) to the same; ``back`` takes target images to the source's look."""

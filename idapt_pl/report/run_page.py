@@ -8,14 +8,13 @@ from pathlib import Path
 
 from idapt_pl.effects.wording import format_number
 from idapt_pl.files import write_atomically
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.report.found_effects import found_effects_section
 from idapt_pl.report.html import CSS, paragraph, row, section, table
 from idapt_pl.report.run_figures import returns_figure
 from idapt_pl.report.run_pictures import data_uri, png, translated_examples
 from idapt_pl.report.run_record import RunRecord, StepRecord, read_run_record
-from idapt_pl.stage import load_finished
-from idapt_pl.stages.rollback import rollback_sentence
+from idapt_pl.run import Run
+from idapt_pl.stages.rollback import RollbackDecision
 
 RUN_CSS = """
 :root { --tone: #1d6fa5; }
@@ -32,20 +31,19 @@ RUN_CSS = """
 """
 
 
-def write_run_report(grounding: IterativeGrounding, path: Path | None = None) -> Path:
+def write_run_report(run: Run, path: Path | None = None) -> Path:
     """Write ``report.html`` of a run, finished or not, from its folder; nothing is simulated. Returns its path."""
-    run = grounding.stages.run_dir
-    path = path or run / "report.html"
-    text = run_page(read_run_record(run), grounding)
+    path = path or run.folder / "report.html"
+    text = run_page(read_run_record(run.folder), run)
     write_atomically(path, lambda temporary: temporary.write_text(text))
     return path
 
 
-def run_page(record: RunRecord, grounding: IterativeGrounding) -> str:
+def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
-    metric = grounding.worlds.task.metric
+    metric = run.worlds.task.metric
     parts = [outcome_header(record, metric), unfinished(record), chart(record, metric)]
-    parts += [step_section(record, step, metric, grounding) for step in record.steps]
+    parts += [step_section(record, step, metric, run) for step in record.steps]
     parts += [times_section(record), ledger_section(record), run_settings(record)]
     title = escape(f"{record.config['task']}: source to {record.config['target']}, seed {record.config['seed']}")
     return (
@@ -153,14 +151,14 @@ def chart(record: RunRecord, metric: str) -> str:
 # --- a step -----------------------------------------------------------------------------------------
 
 
-def step_section(record: RunRecord, step: StepRecord, metric: str, grounding: IterativeGrounding) -> str:
+def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> str:
     """One grounding step: in words, in pictures, in numbers."""
-    model = grounding.worlds.source_domain.compile()
+    model = run.worlds.source_domain.compile()
     parts = [paragraph(s) for s in step_story(record, step, metric)]
     parts += [
         visual_effects_section(step),
         found_effects_section(step.effects, model),
-        step_images(step, grounding),
+        step_images(step, run),
         step_numbers(step, metric),
     ]
     title = f"Step {step.k}: {'G, F and the policy' if step.k else 'G, and effects' if repaired(step) else 'G alone'}"
@@ -200,13 +198,13 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
             "put back."
         )
     if step.selection:
-        told.append(rollback_sentence(step.selection) + ".")
+        told.append(RollbackDecision.from_dict(step.selection).sentence + ".")
     return told
 
 
-def step_images(step: StepRecord, grounding: IterativeGrounding) -> str:
+def step_images(step: StepRecord, run: Run) -> str:
     """Source, translation and target; and the policy at work."""
-    made = [translated_frames(step, grounding)]
+    made = [translated_frames(step, run)]
     clip = step.folder / "policy_in_grounded_and_target.gif"
     if clip.exists():
         uri = data_uri(clip.read_bytes(), "gif")
@@ -217,13 +215,13 @@ def step_images(step: StepRecord, grounding: IterativeGrounding) -> str:
     return f'<div class="look">{"".join(m for m in made if m)}</div>'
 
 
-def translated_frames(step: StepRecord, grounding: IterativeGrounding) -> str:
+def translated_frames(step: StepRecord, run: Run) -> str:
     """Rows of pictures: what the source shows, what G makes of it, and the real target frame most like that."""
     checkpoint = step.folder / "visual" / "final.ckpt"
     if not checkpoint.exists():
         return paragraph("No pictures: G of this step has not been trained yet.", "small")
     try:
-        G = load_finished(grounding.fit.make.visual(**grounding.worlds.dimensions), checkpoint)
+        G = run.load_visual(checkpoint)
     except Exception as error:  # what a damaged checkpoint raises can be anything
         return paragraph(f"No pictures: {checkpoint} cannot be loaded ({type(error).__name__}: {error}).", "small")
     try:

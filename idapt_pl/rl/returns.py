@@ -26,6 +26,11 @@ class Returns:
     def mean(self) -> float:
         return float(np.mean(self.successes or self.returns))
 
+    def to_dict(self) -> dict:
+        """For JSON."""
+        values = {"returns": list(self.returns), "successes": list(self.successes)}
+        return {"mean": self.mean, "std": self.std, **values, "interactions": self.interactions}
+
     @property
     def std(self) -> float:
         return float(np.std(self.successes or self.returns))
