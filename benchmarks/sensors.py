@@ -98,7 +98,8 @@ def run(task_name: str, target: str, sensor: str, seed: int, steps: int) -> dict
     started = time.perf_counter()
     found = diagnose(
         task.domain("source").spec(), sensed(task, episodes, sensor, dt, seed),
-        candidates=DEFAULT_CANDIDATES, seed=seed, settings=SearchSettings(max_effects=2), unmeasured=task.unseen if sensor == "states" else (),
+        candidates=DEFAULT_CANDIDATES, seed=seed, settings=SearchSettings(max_effects=2),
+        unmeasured=task.unseen if sensor == "states" else (),
     ).report  # fmt: skip
     error = found["error"]
     truth = {(e.name, e.target) for e in hidden}
