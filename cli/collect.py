@@ -34,7 +34,11 @@ POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+
 
 
 def main(args: list[str]) -> int:
-    """Run ``idapt collect``."""
+    """Run ``idapt collect``.
+
+    Raises:
+        ValueError: if there are fewer steps than policies.
+    """
     p = parser("collect", __doc__)
     p.add_argument("--task", choices=TASKS, required=True)
     p.add_argument("--domain", choices=("source", "easy", "hard"), required=True)
@@ -84,7 +88,14 @@ def counted(policy: Policy, bar: tqdm, env: ImageEnv) -> Policy:
 
 
 def expert(task: Task, kind: str, seed: int, cache: Path) -> tuple[StateSAC, str]:
-    """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
+    """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256.
+
+    Args:
+        task: what it is an expert of.
+        kind: ``"expert"``, or ``"backwards"`` for one that is paid for going the other way.
+        seed: of its training.
+        cache: folder where experts are kept.
+    """
     trained = task.backwards() if kind == "backwards" else task
     stages = Stages(cache / f"{task.name}_{kind}_{seed}", seed, cpu_trainer)
     policy = train_expert(trained, task.domain("source"), task.expert, stages, "policy")

@@ -173,7 +173,13 @@ class VisualCLI(LightningCLI):
 
 
 def strategy(accelerator: str, devices: str | int | list[int], nodes: int) -> str:
-    """How to train on so many devices: G and D are trained in turn, and DDP must be told that some nets rest."""
+    """How to train on so many devices: G and D are trained in turn, and DDP must be told that some nets rest.
+
+    Args:
+        accelerator: as the Trainer takes it.
+        devices: number, list or ``"auto"``, as the Trainer takes it.
+        nodes: machines.
+    """
     if devices == "auto":
         count = torch.cuda.device_count() if accelerator in ("auto", "gpu", "cuda") else 1
     else:

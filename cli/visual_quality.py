@@ -81,6 +81,11 @@ class TranslationQuality(L.Callback):
     def fit_state_probe(self, states: str, data: ImageDomains, device: torch.device) -> torch.nn.Module:
         """P of the target, from the labelled target images of a trajectory file.
 
+        Args:
+            states: the file.
+            data: whose images the probe is shown; its images have their size.
+            device: where it is trained.
+
         Raises:
             ValueError: if the file has no states.
         """

@@ -46,6 +46,11 @@ class Imported:
 def convert(recordings: list[Recorded], mapping: Mapping, source: str = "") -> Imported:
     """Turn recorded episodes into trajectories, joints and actuators in the map's order.
 
+    Args:
+        recordings: as the readers return them.
+        mapping: which column is what.
+        source: what the trajectory file says of where the data come from.
+
     Raises:
         RecordingError: naming the file, column and row, what was expected and what came.
     """

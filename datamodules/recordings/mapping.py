@@ -136,7 +136,15 @@ class UniqueKeys(yaml.SafeLoader):
 
 
 def parse_mapping(content: Any, source: str = "map") -> Mapping:
-    """Check a map that was read from YAML."""
+    """Check a map that was read from YAML.
+
+    Args:
+        content: of the YAML file.
+        source: its name, for messages.
+
+    Raises:
+        RecordingError: naming the source, the key, what was expected and what came.
+    """
     try:
         return _mapping(content, source)
     except RecordingError as error:

@@ -20,6 +20,9 @@ def read_lerobot(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read every episode: columns ``timestamp``, ``action[0]``, ``observation.state[shoulder_pan.pos]``, ...
 
     Elements go by number and, where ``info.json`` names them, by name. Images and videos are left out.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
     """
     parquet = optional("pyarrow.parquet", "pyarrow", path)
     files = sorted((path / "data").rglob("*.parquet")) if path.is_dir() else [path]

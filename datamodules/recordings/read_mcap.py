@@ -18,7 +18,7 @@ from datamodules.recordings.errors import RecordingError, choices, listing, opti
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, is_number
 
-LONGEST = 256
+LONGEST_LIST = 256
 """A longer list in a message is an image or a scan and is left out."""
 
 DECODERS = {"mcap_ros2.decoder": "mcap-ros2-support", "mcap_protobuf.decoder": "mcap-protobuf-support"}
@@ -28,6 +28,9 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read a file as one episode: columns ``<topic>.<field>``, such as ``/joint_states.position[elbow]``.
 
     Every topic also has ``<topic>.log_time`` and ``<topic>.publish_time`` in ns.
+
+    Raises:
+        RecordingError: naming the file, the topic or column, what was expected and what came.
     """
     optional("mcap", "mcap", path)
     from mcap.exceptions import McapError
@@ -84,6 +87,7 @@ class JsonDecoder:
     """Messages that are JSON, in the shape that mcap expects of a decoder factory."""
 
     def decoder_for(self, message_encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+        """The decoder, if this is JSON."""
         return json.loads if message_encoding == "json" else None
 
 
@@ -136,7 +140,7 @@ def _labelled(name: str, value: Any, labels: Any) -> dict[str, Any]:
     """Elements of a list by number and, as in a ROS JointState, by the names that lie beside it."""
     if isinstance(value, (str, bytes, bytearray)) or _fields(value) is not None or not hasattr(value, "__len__"):
         return {} if isinstance(value, (bytes, bytearray)) or value is None else _flatten(value, name)
-    if len(value) > LONGEST:
+    if len(value) > LONGEST_LIST:
         return {}
     flat = {}
     named = not isinstance(labels, str) and hasattr(labels, "__len__") and len(labels) == len(value)

@@ -20,6 +20,9 @@ def read_minari(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read every episode: columns ``observations[0]``, ``observations/qpos[0]``, ``actions[0]``, ...
 
     Observations have one row more than actions, as in a trajectory file.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
     """
     if not path.is_dir():
         return _read_hdf5(path)

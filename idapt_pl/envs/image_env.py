@@ -107,12 +107,18 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         return self._observe(), rewards, terminations, truncations, infos
 
     def show(self, i: int, other: mujoco.MjData) -> np.ndarray:
-        """Put simulation ``i`` into the state of another domain's. Returns its frame; for paired evaluation only."""
+        """Put simulation ``i`` into the state of another domain's. Returns its frame, uint8 (H, W, 3).
+
+        For paired evaluation only.
+        """
         self.data[i].mocap_pos[:], self.data[i].mocap_quat[:] = other.mocap_pos, other.mocap_quat
         return self.set_state(i, other.qpos, other.qvel)
 
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""
+        """Put simulation ``i`` into a state (positions (nq,), velocities (nv,)). Returns its frame, uint8 (H, W, 3).
+
+        For paired evaluation only.
+        """
         self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, self.data[i])
         self._frames[i, -1] = self._render([self.data[i]])[0]

@@ -35,6 +35,11 @@ class VectorStateEnv(VectorImageEnv):
     """As :class:`VectorImageEnv`, but nothing is rendered: ``pixels`` is the state, float32 (n, state_dim), again.
 
     So what collects, evaluates and feeds SAC takes it as it is.
+
+    Args:
+        task: the task.
+        domain: the world it is played in.
+        num_envs: number of simulations.
     """
 
     def __init__(self, task: Task, domain: Domain, num_envs: int = 1) -> None:

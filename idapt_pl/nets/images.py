@@ -66,7 +66,13 @@ def jitter(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "
 
 
 def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
-    """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
+    """Mean of the newest frames of the stacks of both domains, as channels, (3 frames, H, W), -1..1.
+
+    Args:
+        batches: of :class:`datamodules.UnpairedImages` or :class:`datamodules.images.ImageDomains`.
+        frames: how many of a stack's frames.
+        most: batches that are looked at.
+    """
     sums: dict[str, list[Tensor]] = {"source": [], "target": []}
     for batch in itertools.islice(batches, most):
         batch = batch[0] if isinstance(batch, tuple) else batch  # Lightning's CombinedLoader gives indices too

@@ -34,7 +34,7 @@ class InstanceNorm(nn.InstanceNorm2d):
 
 
 def conv_block(ins: int, outs: int, kernel: int, stride: int = 1) -> nn.Sequential:
-    """Reflection padding, convolution, instance norm, ReLU."""
+    """Reflection padding, convolution (``ins`` to ``outs`` channels), instance norm, ReLU."""
     return nn.Sequential(
         nn.ReflectionPad2d(kernel // 2),
         nn.Conv2d(ins, outs, kernel, stride=stride),
@@ -128,7 +128,11 @@ class ResnetGenerator(nn.Module):
         nn.init.zeros_(self.body[-1].bias)
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
-        """Translate images, -1..1."""
+        """Translate images, -1..1.
+
+        Raises:
+            ValueError: if there is a background of another size.
+        """
         out = few_channels_out(self.body[-1], self.body[:-1](x)).float()
         if self.background is None:
             return torch.tanh(out)

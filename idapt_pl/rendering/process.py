@@ -41,7 +41,16 @@ class RenderProcess:
         atexit.register(self.close)
 
     def ask(self, model: Path, size: int, data: Sequence[mujoco.MjData]) -> None:
-        """Ask for one frame each of simulations of the model in a file. Ask again only after :meth:`answer`."""
+        """Ask for one frame each of simulations. Ask again only after :meth:`answer`.
+
+        Args:
+            model: file of their model (MJB).
+            size: height and width of the frames, pixels.
+            data: the simulations.
+
+        Raises:
+            RuntimeError: if the process has ended.
+        """
         process = self._process or self._start()
         self.drawn += len(data)
         request = {"model": str(model), "size": size, "frames": len(data)}
@@ -55,7 +64,11 @@ class RenderProcess:
             self._has_died(process)
 
     def answer(self, out: np.ndarray) -> None:
-        """Take the frames that were asked for: into uint8 (n, size, size, 3), contiguous."""
+        """Take the frames that were asked for: into uint8 (n, size, size, 3), contiguous.
+
+        Raises:
+            RuntimeError: if none were asked for, or the process has ended.
+        """
         if self._process is None:
             raise RuntimeError("this process was asked for no frames; ask before taking the answer")
         if self._answers.readinto(out.data) < out.nbytes:

@@ -94,6 +94,18 @@ def test_a_process_that_was_killed_is_told_of_and_replaced(process, file, model,
     np.testing.assert_array_equal(drawn(process, file, states(model, 3)), expected)
 
 
+def test_answers_that_were_not_asked_for_are_refused(process):
+    with pytest.raises(RuntimeError, match="ask before"):
+        process.answer(np.empty((1, SIZE, SIZE, 3), np.uint8))
+
+
+def test_a_closed_renderer_says_so(model):
+    render = FrameRenderer(model, SIZE)
+    render.close()
+    with pytest.raises(RuntimeError, match="was closed"):
+        render(mujoco.MjData(model))
+
+
 def test_an_error_here_leaves_no_stale_frames_for_the_next_call(cart, model, expected, monkeypatch):
     with closing(ParallelRenderer(model, SIZE, processes=1)) as render:
         data = states(model, 3)
