@@ -14,7 +14,7 @@ from pathlib import Path
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
 from idapt_pl.diagnosis.data import as_recordings
-from idapt_pl.diagnosis.search import choose_candidates
+from idapt_pl.diagnosis.prepare import choose_candidates
 from idapt_pl.effects import Domain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.envs import VectorImageEnv

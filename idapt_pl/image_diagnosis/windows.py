@@ -18,7 +18,7 @@ import numpy as np
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Domain
 from idapt_pl.image_diagnosis.calibration import GAIN_STD, Readings, sub_episode
 from idapt_pl.image_diagnosis.settings import SHORTEST_EPISODE, DiscoverySettings

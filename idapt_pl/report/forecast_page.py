@@ -10,6 +10,7 @@ import mujoco
 from torch.utils.tensorboard import SummaryWriter
 
 from idapt_pl.diagnosis.repaired import RepairedModel, repair_model
+from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.effects import Domain, Effect, effect_from_dict
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import write_atomically, write_json, write_yaml
@@ -88,10 +89,11 @@ def forecast_verdict(report: dict, model: mujoco.MjModel) -> list[str]:
         format_number(error["after"]),
         "it" if len(report["effects"]) == 1 else "them",
     )
+    effects = [EffectEstimate.from_dict(e) for e in report["effects"]]
     return [
-        lacking_sentence(report, model),
+        lacking_sentence(effects, model),
         f"With {them}, the energy score of forecasts is {after} instead of {before} (less is better; {level}).",
-        *undecided_sentences(report),
+        *undecided_sentences(effects),
     ]
 
 

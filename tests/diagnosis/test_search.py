@@ -1,72 +1,19 @@
-"""Diagnosis: what was planted is found, nothing where nothing is, and what no effect explains is called that."""
+"""What was planted is found, nothing where nothing is, and what no effect explains is called that."""
 
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from arm import ARM, DT, NOISE_Q, NOISE_V, found, record
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import UnusableData, as_recordings, sample_windows
-from idapt_pl.diagnosis.noise import (
-    Noise,
-    estimate_noise,
-    initial_sensitivity,
-    rounding_noise,
-    shrink_to_kind,
-    whiten,
-    whitener,
-)
-from idapt_pl.diagnosis.search import diagnose, split_episodes
-from idapt_pl.diagnosis.search_state import SearchSettings
-from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.verdict import correlation
+from idapt_pl.diagnosis.data import UnusableData
+from idapt_pl.diagnosis.noise import Noise
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects.joints import JointDamping
-from idapt_pl.effects.signals import ActuatorDelay, SensorGain
-
-ARM = """
-<mujoco>
-  <option timestep="0.004" integrator="implicitfast"/>
-  <worldbody>
-    <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.05"/>
-      <geom name="u" type="capsule" size="0.02" fromto="0 0 0 0 0 -0.3" mass="0.6" contype="0" conaffinity="0"/>
-      <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0" damping="0.02"/>
-        <geom name="l" type="capsule" size="0.02" fromto="0 0 0 0 0 -0.2" mass="0.4" contype="0" conaffinity="0"/>
-      </body></body>
-  </worldbody>
-  <actuator><motor name="s" joint="shoulder"/><motor name="e" joint="elbow"/></actuator>
-</mujoco>"""
-NOISE_Q, NOISE_V, DT, SKIP = 1e-3, 1e-2, 0.02, 5
-
-
-def record(
-    xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0, noise=(NOISE_Q, NOISE_V)
-):
-    """Recordings of an arm: commands late by whole physics steps, ``push(time)`` a torque on the shoulder."""
-    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
-    made = []
-    for _ in range(episodes):
-        data = mujoco.MjData(model)
-        data.qpos[:], queue = rng.normal(size=model.nq) * 0.3, [np.zeros(model.nu)] * delay
-        actions = size * np.repeat(rng.normal(size=(steps // 4, model.nu)), 4, 0).clip(-1, 1)
-        q, v = [data.qpos.copy()], [data.qvel.copy()]
-        for a in actions:
-            for _ in range(SKIP):
-                queue.append(a)
-                data.ctrl[:] = queue.pop(0)
-                data.qfrc_applied[0] = push(data.time) if push else 0.0
-                mujoco.mj_step(model, data)
-            q.append(data.qpos.copy()), v.append(data.qvel.copy())
-        seen = {"qpos": np.array(q) + noise[0] * rng.normal(size=(steps + 1, model.nq))}
-        if velocities:
-            seen["qvel"] = np.array(v) + noise[1] * rng.normal(size=(steps + 1, model.nv))
-        made.append(Episode(actions.astype(np.float32), seen))
-    return Trajectories(tuple(made), DT)
-
-
-def found(data, **settings):
-    diagnosis = diagnose(mujoco.MjSpec.from_string(ARM), data, **settings)
-    return diagnosis, {(e["effect"], e["target"]): e for e in diagnosis.report["effects"]}
+from idapt_pl.effects.signals import SensorGain
 
 
 def test_nothing_is_found_where_nothing_is_missing():
@@ -168,40 +115,6 @@ def test_the_same_data_and_seed_give_the_same_report():
     assert reports[0] == reports[1]
 
 
-# --- laws ---------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def right():
-    """A simulator with the right model, its windows, residuals and sensitivities."""
-    spec, trajectories = mujoco.MjSpec.from_string(ARM), record(episodes=12)
-    data, velocities = as_recordings(spec.copy().compile(), trajectories)
-    sim = Simulator(spec, data, velocities)
-    windows = sample_windows(data, np.arange(12), 5, 5, 1000, 0)
-    residual = sim.residual((), windows)
-    size = np.repeat([NOISE_Q, NOISE_V], 2)
-    return sim, windows, residual, initial_sensitivity(sim, (), windows, size)
-
-
-def test_noise_is_estimated(right):
-    sim, *_ = right
-    noise = estimate_noise(sim, (), sample_windows(sim.data, np.arange(12), 2, 2, 200, 0))
-    np.testing.assert_allclose(noise.sensors, [NOISE_Q] * 2 + [NOISE_V] * 2, rtol=0.25)
-
-
-def test_a_sensor_that_counts_has_the_noise_of_rounding_even_at_rest():
-    rng, count = np.random.default_rng(0), 2 * np.pi / 4096
-    resting = np.round((np.sin(np.linspace(0, 1, 400)) * (np.arange(400) > 300))[:, None] / count) * count
-    assert rounding_noise([resting]) == pytest.approx(count / 12**0.5)
-    assert rounding_noise([rng.normal(size=(400, 1))]) == 0.0, "no counts, no rounding"
-
-
-def test_no_sensor_is_taken_to_be_much_better_than_others_of_its_kind():
-    model = mujoco.MjModel.from_xml_string(ARM)
-    sigma = shrink_to_kind(model, np.array([1e-3, 1e-9, 1e-2, 2e-2]))
-    assert sigma == pytest.approx([1e-3, 2.5e-4, 1e-2, 2e-2]), "half the median of the kind"
-
-
 def test_intervals_allow_for_a_sensor_whose_gain_is_not_known():
     """All of the elbow's readings 6 % too large: the estimate is off, by what the interval allows for and no more."""
     data = record(ARM.replace('name="elbow" axis="0 1 0" damping="0.02"', 'name="elbow" axis="0 1 0" damping="0.06"'))
@@ -220,105 +133,6 @@ def test_intervals_allow_for_a_sensor_whose_gain_is_not_known():
     assert allowed["ci95"][0] < 0.06 < allowed["ci95"][1]
     narrow, wide = (np.diff(p["ci95"])[0] / 2 for p in (off, allowed))
     assert np.sqrt(wide**2 - narrow**2) / 1.96 == pytest.approx(abs(off["estimate"] - truth["estimate"]), rel=0.25)
-
-
-def test_noise_is_not_mistaken_for_a_missing_effect():
-    """What the model gets wrong lasts longer than a control step, and does not count as noise."""
-    spec = mujoco.MjSpec.from_string(ARM)
-    data, velocities = as_recordings(
-        spec.copy().compile(), record(ARM.replace('joint="shoulder"', 'joint="shoulder" gear="0.7"'))
-    )
-    sim = Simulator(spec, data, velocities)
-    noise = estimate_noise(sim, (), sample_windows(data, np.arange(6), 2, 2, 200, 0))
-    step = sim.residual((), sample_windows(data, np.arange(6), 1, 1, 200, 0))[:, 0]
-    np.testing.assert_allclose(noise.sensors[:2], NOISE_Q, rtol=0.3)
-    assert (noise.sensors[2:] < 0.5 * step.std(0)[2:]).all()
-
-
-def test_residuals_of_the_right_model_are_white_after_whitening(right):
-    sim, _, residual, at = right
-    z = whiten(whitener(at, Noise(*[np.repeat([NOISE_Q, NOISE_V], 2)] * 2), sim.compared), residual)
-    assert np.square(z).mean() == pytest.approx(1.0, abs=0.1)
-    correlation = np.corrcoef(z.T) - np.eye(z.shape[1])
-    assert np.abs(correlation).max() < 5 / np.sqrt(len(z))
-
-
-def test_what_was_not_measured_does_not_count_and_the_rest_is_white_without_it(right):
-    _, _, residual, at = right
-    elsewhere = residual.copy()
-    elsewhere[..., 0] += 1e3
-    W = whitener(at, Noise(*[np.repeat([NOISE_Q, NOISE_V], 2)] * 2), np.array([False, True, True, True]))
-    z = whiten(W, residual)
-    assert z.shape[1] == 3 * residual.shape[1] and np.array_equal(z, whiten(W, elsewhere))
-    assert np.square(z).mean() == pytest.approx(1.0, abs=0.1)
-
-
-def test_without_noise_the_right_model_predicts_the_recording():
-    """Controls are held as they were: a prediction from exact states is exact."""
-    trajectories = record(episodes=2, noise=(0.0, 0.0))
-    spec = mujoco.MjSpec.from_string(ARM)
-    data, velocities = as_recordings(spec.copy().compile(), trajectories)
-    sim = Simulator(spec, data, velocities)
-    windows = sample_windows(data, np.arange(2), 5, 5, 1000, 0)
-    assert np.abs(sim.residual((), windows)).max() < 1e-5  # actions are float32
-    late = sim.residual((ActuatorDelay("*", 0.01),), windows)
-    assert np.abs(late).max() > 1e-3
-
-
-def test_windows_stay_inside_episodes_and_do_not_overlap(right):
-    sim, windows, *_ = right
-    for e in np.unique(windows.episode):
-        starts = np.sort(windows.start[windows.episode == e])
-        assert starts[-1] + windows.offsets[-1] <= len(sim.data[e])
-        assert (np.diff(starts) >= windows.offsets[-1]).all()
-
-
-def test_split_holds_every_fourth_episode_out_and_never_shares():
-    fit, held = split_episodes(np.ones(9), None, None)
-    assert len(held) >= 2 and sorted([*fit, *held]) == list(range(9))
-    assert split_episodes(np.ones(4), None, [1])[0].tolist() == [0, 2, 3]
-    with pytest.raises(ValueError, match="both to be fitted and held out"):
-        split_episodes(np.ones(4), [0, 1], [1])
-    with pytest.raises(ValueError, match="no episode 7"):
-        split_episodes(np.ones(4), [7], None)
-    with pytest.raises(ValueError, match="at least two are needed"):
-        split_episodes(np.ones(1), None, None)
-
-
-def test_both_parts_have_calm_and_lively_episodes():
-    """Recordings often take turns: every fourth in order would hold out one kind of motion."""
-    _, held = split_episodes(np.tile([1.0, 2.0, 3.0, 0.1], 4), None, None)
-    assert {int(e) % 4 for e in held} == {0, 1, 2, 3}
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda q, a: (q[:, :1], a), r"episode_0: qpos has shape \(81, 1\), but the model has 2"),
-        (lambda q, a: (np.where(np.arange(81)[:, None] == 7, np.nan, q), a), "qpos holds NaN .* first in row 7"),
-        (lambda q, a: (q, a[:, :1]), r"actions has shape \(80, 1\), but the model has 2 actuators"),
-    ],
-    ids=["shape", "nan", "actions"],
-)
-def test_unusable_recordings_are_refused_by_name(spoil, message):
-    good = record(episodes=2)
-    e = good.episodes[0]
-    qpos, actions = spoil(e.observations["qpos"], e.actions)
-    bad = Episode(actions, {"qpos": qpos, "qvel": e.observations["qvel"]})
-    with pytest.raises(UnusableData, match=message):
-        diagnose(mujoco.MjSpec.from_string(ARM), Trajectories((bad, *good.episodes[1:]), DT))
-
-
-def test_velocities_that_come_late_are_not_used():
-    """A filtered speed register would otherwise be blamed on friction or on a sensor."""
-    prompt = record()
-    late = [
-        Episode(e.actions, {**e.observations, "qvel": e.observations["qvel"][[0, 0, *range(80 - 1)]]})
-        for e in prompt.episodes
-    ]
-    model = mujoco.MjModel.from_xml_string(ARM)
-    assert as_recordings(model, prompt)[1], "prompt velocities are used"
-    assert not as_recordings(model, Trajectories(tuple(late), DT))[1]
 
 
 BOX = """
@@ -398,15 +212,6 @@ def test_numerics_are_reported_as_what_differs():
     (numerics,) = found()
     assert set(numerics["parameters"]) == {"timestep"}
     assert found(numerics=False) == []
-
-
-def test_what_a_residual_goes_along_with_is_a_share_of_it():
-    rng = np.random.default_rng(0)
-    x, constant = rng.normal(size=500), np.ones(500)
-    assert correlation(x, 3 * x + 7) == pytest.approx(1) and correlation(-x, x) == pytest.approx(-1)
-    assert correlation(constant, constant * -4e-9) == pytest.approx(-1), "a residual that is the same everywhere"
-    assert abs(correlation(constant, x)) < 0.1 and abs(correlation(x, rng.normal(size=500))) < 0.1
-    assert correlation(x, constant) == 0 and correlation(0 * x, x) == 0
 
 
 LOOSE = ARM.replace(
