@@ -24,9 +24,8 @@ import numpy as np
 from tables import read_rows, replace_rows
 
 from cli.provenance import cpu_model, git_commit
-from cli.trainers import plain_trainer
-from idapt_pl.rl.experts import RECIPES, measure_expert, train_expert
-from idapt_pl.stage import Stages
+from idapt_pl.rl.experts import measure_expert, train_expert
+from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.tasks import TASKS, Task, make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 
@@ -37,7 +36,7 @@ KEY = ("task", "domain", "policy", "seed")
 
 def rows(task: Task, seed: int, recipe: ExpertRecipe, episodes: int, homes: list[str]) -> Iterator[list[dict]]:
     """The bounds of one task and seed, those of one policy at a time; ``homes`` are the domains to train in."""
-    stages = Stages(ROOT / f"runs/bounds/{task.name}_{seed}_{recipe.steps}", seed, plain_trainer)
+    stages = Stages(ROOT / f"runs/bounds/{task.name}_{seed}_{recipe.steps}", seed, cpu_trainer)
     for trained_in in homes:
         policy = train_expert(task, task.domain(trained_in), recipe, stages, trained_in)
         found = []
@@ -82,7 +81,7 @@ def main() -> None:
     p.add_argument("--summary", action="store_true", help="only print what is there")
     o = p.parse_args()
     for name in o.task if not o.summary else ():
-        recipe = dataclasses.replace(RECIPES[name], **({"steps": o.steps} if o.steps else {}))
+        recipe = dataclasses.replace(TASKS[name].expert, **({"steps": o.steps} if o.steps else {}))
         for seed in o.seeds:
             for new in rows(make_task(name), seed, recipe, o.episodes, o.trained_in):
                 replace_rows(o.out, [row | {"commit": git_commit(), "cpu": cpu_model()} for row in new], KEY)

@@ -39,14 +39,17 @@ from tqdm import tqdm
 from benchmarks.diagnosis import in_order, record
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
+from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows
-from idapt_pl.effects.candidate import Candidate
 from idapt_pl.diagnosis.model import name_elements
-from idapt_pl.diagnosis.search import begin_search
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.diagnosis.simulator import STATE, Simulator, silence_mujoco
-from idapt_pl.diagnosis.search_state import Search
-from idapt_pl.diagnosis.noise import whiten
-from idapt_pl.estimation.least_squares import effects_of, robust_loss
+from idapt_pl.diagnosis.whitening import whiten
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.runtime import RuntimeEffect
+from idapt_pl.estimation.least_squares import robust_loss
 from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
@@ -60,25 +63,25 @@ WIDEST = 20.0
 """Bounds of the parameters of mujoco.sysid, in noticeable changes."""
 
 
-def held_out_error(search: Search, residual: np.ndarray) -> float:
+def held_out_error(state: SearchState, residual: np.ndarray) -> float:
     """Rms of the whitened held-out error, as in report.json."""
-    return float(np.sqrt(robust_loss(whiten(search.held_out.W, residual)).mean()))
+    return float(np.sqrt(robust_loss(whiten(state.windows.held_out.W, residual)).mean()))
 
 
 # --- mujoco.sysid ---------------------------------------------------------------------------------
 
 
-def single_numbers(search: Search) -> list[Candidate]:
+def single_numbers(context: SearchContext) -> list[Candidate]:
     """Effects that are one number of one element of the MJCF and add no state to it, each once."""
-    plain = search.sim.model
+    plain = context.sim.model
 
     def fits(c: Candidate) -> bool:
-        if c.size != 1 or c.target == "*" or not c.kind.__module__.endswith("effects"):
+        if c.size != 1 or c.target == "*" or issubclass(c.kind, RuntimeEffect):
             return False
-        changed = search.sim.compile((c.effect(np.add(c.nominal, c.scale)),))
+        changed = context.sim.compile((c.effect(np.add(c.nominal, c.scale)),))
         return (changed.nq, changed.na) == (plain.nq, plain.na)
 
-    return list({c.label: c for c in search.candidates if fits(c)}.values())
+    return list({c.label: c for c in context.candidates if fits(c)}.values())
 
 
 def could_name(case: Case, singles: list[Candidate]) -> int:
@@ -110,19 +113,22 @@ def sequences(spec: mujoco.MjSpec, sim: Simulator, windows: Windows):
     return sysid.ModelSequences(spec.modelname or "model", spec, names, states, controls, sensors)
 
 
-def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, iterations: int) -> dict:
+def fit_all(
+    case: Case, context: SearchContext, state: SearchState, spec: mujoco.MjSpec, optimizer: str, iterations: int
+) -> dict:
     """The first baseline."""
     from mujoco import sysid
 
-    started, sim, singles = time.perf_counter(), search.sim, single_numbers(search)
+    started, sim, singles = time.perf_counter(), context.sim, single_numbers(context)
+    w, held_out = state.windows.screen.windows, state.windows.held_out.windows
     params = sysid.ParameterDict()
     for c in singles:
         # in units of what is noticeable: the fit stalls where units differ widely or bounds are far apart
         low, high = (float((b[0] - c.nominal[0]) / c.scale[0]) for b in c.bounds())
         apply = lambda s, p, c=c: c.effect(np.add(c.nominal, np.multiply(c.scale, p.value))).apply(s)  # noqa: E731
         params.add(sysid.Parameter(c.label, 0.0, max(low, -WIDEST), min(high, WIDEST), modifier=apply))
-    measured = sequences(spec, sim, search.screen.windows)
-    scale = np.sqrt(np.square(sim.residual(search.declared, search.screen.windows)).mean((0, 1)))
+    measured = sequences(spec, sim, w)
+    scale = np.sqrt(np.square(sim.residual(context.declared, w)).mean((0, 1)))
 
     def weighted(params, predicted, seen, model, return_all, state):
         """Residual at the samples' own times. The sensors of a rollout lag by a time step, its states do not."""
@@ -138,7 +144,6 @@ def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, ite
         build_model=lambda p, spec: sysid.apply_param_modifiers(p, spec.copy()),  # else gains pile up
     )  # fmt: skip
 
-    w = search.screen.windows
     rows = len(w) * w.offsets[-1] * (sim.model.nq + sim.model.nv)
 
     def column(x: np.ndarray, params) -> np.ndarray:
@@ -160,7 +165,7 @@ def fit_all(case: Case, search: Search, spec: mujoco.MjSpec, optimizer: str, ite
     _, interval = sysid.calculate_intervals(columns(change, params)[0], result.jac)
     largest, surest = (singles[int(np.argmax(size))] for size in (np.abs(change), np.abs(change) / (interval + 1e-12)))
     accepted = set().union(*case.accept)
-    after = held_out_error(search, sim.residual(effects_of(singles, x[:, None]), search.held_out.windows))
+    after = held_out_error(state, sim.residual(effects_of(singles, x[:, None]), held_out))
     return {
         "sysid_parameters": len(singles), "sysid_could": could_name(case, singles), "sysid_named": largest.label,
         "sysid_top1": int((largest.kind.name, largest.target) in accepted),
@@ -181,9 +186,9 @@ def one_step(model: mujoco.MjModel, x: np.ndarray, u: np.ndarray, dt: float, dat
     return np.nan_to_num(states[:, -1, 1 : 1 + x.shape[1]]).clip(-1e3, 1e3)
 
 
-def network(search: Search, seed: int, epochs: int = 200) -> dict:
+def network(context: SearchContext, state: SearchState, seed: int, epochs: int = 200) -> dict:
     """The second baseline."""
-    started, sim = time.perf_counter(), search.sim
+    started, sim = time.perf_counter(), context.sim
     torch.manual_seed(seed)
     data = [mujoco.MjData(sim.model) for _ in range(sim.threads)]
 
@@ -192,8 +197,8 @@ def network(search: Search, seed: int, epochs: int = 200) -> dict:
         parts = [s[:-1] for s in states], [sim.data[e].actions for e in episodes], [s[1:] for s in states]
         return tuple(map(np.concatenate, parts))
 
-    x, u, y = pairs(search.fit_episodes)
-    wrong = y - one_step(sim.model, x, u, search.dt, data)
+    x, u, y = pairs(context.fit_episodes)
+    wrong = y - one_step(sim.model, x, u, sim.control_period, data)
     seen = np.hstack([x, u])
     mean, std, unit = seen.mean(0), seen.std(0) + 1e-6, wrong.std(0) + 1e-9
     net = mlp(seen.shape[1], (128, 128), wrong.shape[1])
@@ -220,16 +225,16 @@ def network(search: Search, seed: int, epochs: int = 200) -> dict:
 
     if kept is not None:
         net.load_state_dict(kept)
-    w = search.held_out.windows
+    w = state.windows.held_out.windows
     chosen = [(sim.data[e], s) for e, s in zip(w.episode, w.start, strict=True)]
     now = np.stack([np.hstack([r.qpos[s], r.qvel[s]]) for r, s in chosen])
     residual = []
     for k in range(w.offsets[-1]):
         u = np.stack([r.actions[s + k] for r, s in chosen])
-        now = one_step(sim.model, now, u, search.dt, data) + correction(now, u)
+        now = one_step(sim.model, now, u, sim.control_period, data) + correction(now, u)
         if k + 1 in w.offsets:
             residual.append(np.stack([np.hstack([r.qpos[s + k + 1], r.qvel[s + k + 1]]) for r, s in chosen]) - now)
-    after = held_out_error(search, np.stack(residual, 1))
+    after = held_out_error(state, np.stack(residual, 1))
     return {"network_after": round(after, 4), "network_seconds": round(time.perf_counter() - started, 1)}
 
 
@@ -237,12 +242,14 @@ def run(case: Case, seed: int, o: argparse.Namespace) -> dict:
     """Both baselines on one case."""
     spec, data = record(case, seed, o)
     spec = name_elements(spec.copy())
-    search = begin_search(spec, data, seed=seed)
-    before = held_out_error(search, search.sim.residual(search.declared, search.held_out.windows))
+    context, state = begin_search(spec, data, seed=seed)
+    nominal = context.sim.residual(context.declared, state.windows.held_out.windows)
+    before = held_out_error(state, nominal)
     return {
         "case": case.name, "kind": case.kind, "model": case.model, "seed": seed,
         "optimizer": o.optimizer, "before": round(before, 4),
-        **fit_all(case, search, spec, o.optimizer, o.iterations), **network(search, seed), "commit": git_commit(),
+        **fit_all(case, context, state, spec, o.optimizer, o.iterations), **network(context, state, seed),
+        "commit": git_commit(),
     }  # fmt: skip
 
 

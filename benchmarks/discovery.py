@@ -34,7 +34,7 @@ import yaml
 from tables import replace_rows
 
 from cli.provenance import git_commit
-from cli.run_folder import load_estimator, load_visual, open_run
+from idapt_pl.run import Run
 from datamodules import Episode, write_trajectories
 from idapt_pl.image_diagnosis import DiscoverySettings, ImageDiagnosis, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
@@ -45,7 +45,6 @@ from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointArmature, JointDamping
 from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.rl.collect import collect
 
@@ -95,20 +94,22 @@ class Translated(ImageSensor):
 
 def run(name: str, hidden: tuple[Effect, ...], look: str, seed: int, steps: int, folder: Path) -> dict:
     """Record a target with something hidden, look for it."""
-    grounding = open_run(folder)
-    worlds, G = grounding.worlds, load_visual(grounding)
-    sensor = ImageSensor(load_estimator(grounding), worlds.task, worlds.frame_stack)
+    opened = Run.open(folder)
+    worlds, G = opened.worlds, opened.load_visual()
+    sensor = ImageSensor(opened.load_estimator(), worlds.task, worlds.frame_stack)
     plain = worlds.task.domain("source")
-    source = plain.with_effects(*painted(worlds.repairs))  # G was trained with these, and without what moves otherwise
+    source = plain.with_effects(
+        *painted(worlds.added_effects)
+    )  # G was trained with these, and without what moves otherwise
     looks_like = () if look == TRANSLATED else painted(worlds.target_domain.effects[len(plain.effects) :])
     target = Domain("hidden", plain.base, (*plain.effects, *looks_like, *hidden))
     path, control = (folder / "hidden" / f"{n}.h5".replace(" ", "_") for n in (f"{name} {look}", "control"))
-    record(grounding, target, path, steps, seed + 100)
+    record(opened, target, path, steps, seed + 100)
     if not control.exists():
-        record(grounding, source, control, steps, seed + 200)
+        record(opened, source, control, steps, seed + 200)
     started = time.perf_counter()
     reads = Translated(**vars(sensor), always=G) if look == TRANSLATED else sensor
-    result = discover_effects(source, reads, G, [path], [control], DiscoverySettings(True), seed, worlds.seen)
+    result = discover_effects(source, reads, G, [path], [control], DiscoverySettings(True), seed, worlds.image_env)
     return {"target_interactions": steps, **score(result, hidden), "seconds": round(time.perf_counter() - started, 1)}
 
 
@@ -126,11 +127,11 @@ def sensor_run(config: str, target: str, seed: int, settings: str, extra: Sequen
     return quick.run(path, seed, ["--target", target, *NO_MORE_THAN_THE_SENSOR, *teacher, *extra], name)
 
 
-def record(grounding: IterativeGrounding, domain: Domain, path: Path, steps: int, seed: int) -> None:
+def record(run: Run, domain: Domain, path: Path, steps: int, seed: int) -> None:
     """Images, states and actions of the run's exploration."""
-    worlds = grounding.worlds
+    worlds = run.worlds
     with closing(VectorImageEnv(worlds.task, domain, 1, worlds.image_size, worlds.frame_stack, worlds.view)) as env:
-        write_trajectories(path, collect(env, grounding.explore(seed), steps, seed, path.stem))
+        write_trajectories(path, collect(env, run.grounding.explore(seed), steps, seed, path.stem))
 
 
 def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
@@ -179,7 +180,7 @@ def main() -> None:
     config = " ".join(filter(None, (o.config, o.settings)))
     for seed in o.seeds:
         folder = Path(f"{o.runs}_{seed}") if o.runs else sensor_run(o.config, o.target, seed, o.settings, extra)
-        worlds = open_run(folder).worlds
+        worlds = Run.open(folder).worlds
         cases, look = CASES[worlds.task.name], o.looks if o.looks == TRANSLATED else worlds.target_domain.name
         for name in o.cases or cases:
             about = {"config": config, "looks": look, "case": name, "seed": seed}

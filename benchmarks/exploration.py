@@ -22,17 +22,17 @@ import torch
 from rendering import write_table
 
 import idapt_pl  # noqa: F401  sets the GL backend before MuJoCo is loaded
-from cli.run_folder import open_run
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
 from idapt_pl.rl.policy import Policy, tick
+from idapt_pl.run import Run
+from idapt_pl.stages.collection import source_teacher
 
 
-def explorers(grounding: IterativeGrounding, seed: int) -> dict[str, Callable[[VectorStateEnv], Policy]]:
+def explorers(run: Run, seed: int) -> dict[str, Callable[[VectorStateEnv], Policy]]:
     """By name, given the environment that is acted in."""
-    teacher = grounding.fit.source_teacher()
-    task = grounding.worlds.task
+    teacher = source_teacher(run.context)
+    task = run.worlds.task
     rehearse = lambda env: OpenLoopReplay(teacher, VectorStateEnv(task, task.domain("source"), 1), seed)  # noqa: E731
     by_name = {name: lambda env, make=make: make(env, seed) for name, make in EXPLORATION.items()}
     nothing = lambda env: lambda states: np.zeros_like(env.action_space.low)  # noqa: E731
@@ -57,12 +57,12 @@ def play(env: VectorStateEnv, act: Policy, steps: int, seed: int) -> tuple[list[
     return lengths, returns, spreads
 
 
-def measure(run: Path, steps: int, seed: int) -> list[dict]:
+def measure(folder: Path, steps: int, seed: int) -> list[dict]:
     """The rows of one run."""
-    grounding, rows = open_run(run), []
-    worlds = grounding.worlds
+    run, rows = Run.open(folder), []
+    worlds = run.worlds
     for domain in (worlds.task.domain("source"), worlds.target_domain):
-        for name, make in explorers(grounding, seed).items():
+        for name, make in explorers(run, seed).items():
             torch.manual_seed(seed)
             with closing(VectorStateEnv(worlds.task, domain, 1)) as env:
                 lengths, returns, spreads = play(env, make(env), steps, seed)

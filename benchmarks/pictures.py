@@ -13,11 +13,11 @@ import imageio.v3 as iio
 import numpy as np
 
 import idapt_pl  # noqa: F401  sets the rendering backend before mujoco is imported
-from cli.run_folder import load_policy, load_visual, open_run
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.evaluation.paired import paired_stacks
 from idapt_pl.evaluation.video import gif, record_video, side_by_side
 from idapt_pl.rl.policy import deterministic
+from idapt_pl.run import Run
 from idapt_pl.tasks import make_task
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -32,12 +32,12 @@ def domains(task_name: str, size: int = 200) -> np.ndarray:
     return side_by_side(*frames, scale=1)[0]
 
 
-def transfer(run: Path) -> bytes:
+def transfer(folder: Path) -> bytes:
     """Source | translated | target in the same states, and the transferred policy in the target, as a GIF."""
-    grounding = open_run(run)
-    worlds, last = grounding.worlds, grounding.stages.folder(grounding.schedule.grounding_steps)
-    policy = load_policy(grounding, last / "policy/final.ckpt")
-    G = load_visual(grounding)
+    run = Run.open(folder)
+    worlds, last = run.worlds, run.step_folder(run.config.schedule.grounding_steps)
+    policy = run.load_policy(last / "policy/final.ckpt")
+    G = run.load_visual()
     source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:

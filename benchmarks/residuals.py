@@ -23,7 +23,7 @@ import numpy as np
 from tables import replace_rows
 
 from cli.provenance import git_commit
-from cli.run_folder import load_policy, load_visual, open_run
+from idapt_pl.run import Run
 from idapt_pl.rl.transition_distance import transition_distances
 from idapt_pl.stage import load_finished
 
@@ -32,9 +32,9 @@ KEY = ("run", "seed")
 
 def measure(folder: Path, rollouts: int) -> dict:
     """Of one run's step 1."""
-    run = open_run(folder)
-    make, worlds, G, step = run.fit.make, run.worlds, load_visual(run), folder / "step_01"
-    policy = load_policy(run, folder / "step_00/policy/final.ckpt")
+    run = Run.open(folder)
+    make, worlds, G, step = run.context.make, run.worlds, run.load_visual(), folder / "step_01"
+    policy = run.load_policy(folder / "step_00/policy/final.ckpt")
     if (step / "estimator/final.ckpt").exists():  # it was refined for this G
         refined = load_finished(make.state_predictor(**worlds.dimensions), step / "estimator/final.ckpt")
         policy.actor.encoder.load_state_dict(refined.P_S.state_dict())

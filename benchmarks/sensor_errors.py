@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 from tables import replace_rows
 
-from cli.run_folder import load_estimator, load_visual, open_run
+from idapt_pl.run import Run
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.data import position_difference
 from idapt_pl.image_diagnosis.sensor import ImageSensor
@@ -69,9 +69,9 @@ def main() -> None:
     o = p.parse_args()
     for seed in o.seeds:
         folder = Path(f"{o.runs or ROOT / f'runs/sensor_{o.config}'}_{seed}")
-        run = open_run(folder)
-        task, G = run.worlds.task, load_visual(run)
-        sensor, model = ImageSensor(load_estimator(run), task, run.worlds.frame_stack), task.domain("source").compile()
+        run = Run.open(folder)
+        task, G = run.worlds.task, run.load_visual()
+        sensor, model = ImageSensor(run.load_estimator(), task, run.worlds.frame_stack), task.domain("source").compile()
         for name in o.recordings:
             found = errors(sensor, model, folder / "hidden" / f"{name}.h5", G if name == "control" else None)
             about = {"config": o.config, "seed": seed, "recording": name}

@@ -1,14 +1,44 @@
-"""Tables of results: CSV files that benchmarks add to as they go, written whole and atomically."""
+"""Tables of results: CSV files that benchmarks add to as they go, and the tables of the pages made from them.
+
+    python benchmarks/tables.py           # the table of README.md: means and 95 % intervals over seeds
+    python benchmarks/tables.py --runs    # the same of every run in results/*_quick.csv and results/curves.csv
+
+The benchmarks import what reads and writes the CSV files.
+"""
 
 from __future__ import annotations
 
+import argparse
 import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+from scipy import stats
+
 from idapt_pl.files import write_atomically
 
 Row = Mapping[str, object]
+RESULTS = Path(__file__).parents[1] / "results"
+TASKS = {
+    "inverted_pendulum": "InvertedPendulum",
+    "half_cheetah": "HalfCheetah",
+    "walker2d": "Walker2d",
+    "fetch_reach": "Fetch-Reach",
+    "sawyer_push": "Sawyer-Push",
+}
+SHOWN = (
+    ("inverted_pendulum", "curves", {"config": "pendulum_quick", "images": "5000", "method": "with effects"}, "yes"),
+    ("inverted_pendulum", "curves", {"config": "pendulum_quick", "images": "5000", "method": "without"}, "no"),
+    ("half_cheetah", "cheetah_quick", {"run": "IDAPT"}, "yes"),
+    ("half_cheetah", "cheetah_quick", {"run": "no effects"}, "no"),
+    ("walker2d", "walker_quick", {"run": "IDAPT"}, "no"),
+    ("fetch_reach", "fetch_quick", {"run": "IDAPT"}, "no"),
+    ("sawyer_push", "sawyer_quick", {"run": "IDAPT"}, "no"),
+)
+"""Rows of README's table: task, table, which of its rows, and whether effects were looked for in images."""
+STAGES = ("", "0", "1")
+"""Column ``grounding_step`` of direct transfer, of G (with effects), and of F too."""
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -48,3 +78,70 @@ def replace_rows(path: Path, rows: Sequence[Row], key: Sequence[str], fields: Se
 
     new = {identity(row) for row in rows}
     write_rows(path, [*(row for row in read_rows(path) if identity(row) not in new), *rows], fields)
+
+
+def mean_and_interval(values: Sequence[float], metric: str = "return") -> str:
+    """Mean and half of Student's 95 % interval over seeds; one seed has no interval."""
+    digits = 2 if metric == "success" else 0
+    if len(values) < 2:
+        return f"{values[0]:.{digits}f}" if values else ""
+    half = stats.t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
+    return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
+
+
+def chosen(rows: Iterable[Row], wanted: Row) -> list[Row]:
+    """The rows that have these values."""
+    return [row for row in rows if all(row[k] == v for k, v in wanted.items())]
+
+
+def by_stage(rows: Iterable[Row]) -> list[list[float]]:
+    """Returns in the target of every seed, for each of :data:`STAGES`; oracles are left out."""
+    mine = [row for row in rows if row["method"] != "oracle"]
+    return [[float(row["mean"]) for row in mine if row["grounding_step"] == step] for step in STAGES]
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table for a page."""
+    above, *below = (f"| {' | '.join(line)} |" for line in (head, *rows))
+    return "\n".join((above, "|---" * len(head) + "|", *below))
+
+
+def summary(results: Path = RESULTS) -> str:
+    """README's table."""
+    bounds, lines = read_rows(results / "bounds.csv"), []
+    for task, table, wanted, effects in SHOWN:
+        mine = chosen(read_rows(results / f"{table}.csv"), wanted)
+        metric = "success" if task in ("fetch_reach", "sawyer_push") else "return"
+        oracles = chosen(bounds, {"task": task, "domain": "hard", "policy": "oracle", "metric": metric})
+        measured = [*by_stage(mine), [float(row["mean"]) for row in oracles]]
+        seeds = len({row["seed"] for row in mine})
+        lines.append(
+            (f"{TASKS[task]}, {metric}", effects, str(seeds), *(mean_and_interval(m, metric) for m in measured))
+        )
+    return markdown(("task", "effects", "seeds", "direct transfer", "step 0", "step 1", "oracle"), lines)
+
+
+def every_run(results: Path = RESULTS) -> str:
+    """A row for each run that is in the tables."""
+    keys = {f"{name}_quick": ("run",) for name in ("pendulum", "cheetah", "walker", "fetch", "sawyer")}
+    keys["curves"] = ("config", "images", "method")
+    lines = []
+    for table, key in keys.items():
+        rows = read_rows(results / f"{table}.csv")
+        for wanted in dict.fromkeys(tuple(row[k] for k in key) for row in rows):
+            mine = chosen(rows, dict(zip(key, wanted, strict=True)))
+            seeds, metric = " ".join(sorted({row["seed"] for row in mine})), mine[0].get("metric", "return")
+            told = [mean_and_interval(values, metric) for values in by_stage(mine)]
+            lines.append((f"`{table}.csv`", ", ".join(wanted), seeds, *told))
+    return markdown(("table", "run", "seeds", "direct transfer", "step 0", "step 1"), lines)
+
+
+def main() -> None:
+    """Print a table."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--runs", action="store_true", help="every run, not only those of README.md")
+    print(every_run() if p.parse_args().runs else summary())
+
+
+if __name__ == "__main__":
+    main()

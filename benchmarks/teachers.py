@@ -25,7 +25,8 @@ import numpy as np
 from tables import replace_rows
 
 from cli.provenance import git_commit
-from cli.run_folder import open_run
+from idapt_pl.run import Run
+from idapt_pl.stages.collection import source_teacher
 from idapt_pl.effects import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules.state_policy import StateSAC
@@ -47,13 +48,13 @@ def returns(task: Task, teacher: StateSAC, domain: Domain, episodes: int, seed: 
     return total
 
 
-def measure(run: Path, episodes: int, seed: int) -> list[dict]:
+def measure(folder: Path, episodes: int, seed: int) -> list[dict]:
     """A row for each teacher of a run."""
-    grounding = open_run(run)
-    worlds, teacher, table = grounding.worlds, grounding.fit.source_teacher(), []
-    for path in sorted(run.glob("step_*/*teacher/final.ckpt")):
+    run = Run.open(folder)
+    worlds, teacher, table = run.worlds, source_teacher(run.context), []
+    for path in sorted(folder.glob("step_*/*teacher/final.ckpt")):
         load_finished(teacher, path)
-        row = {"run": run.name, "teacher": str(path.parent.relative_to(run)), "episodes": episodes}
+        row = {"run": folder.name, "teacher": str(path.parent.relative_to(folder)), "episodes": episodes}
         for name, domain in (("source", worlds.source_domain), ("target", worlds.target_domain)):
             found = returns(worlds.task, teacher, domain, episodes, seed)
             row |= {name: round(float(found.mean()), 1), f"{name}_std": round(float(found.std()), 1)}

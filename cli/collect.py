@@ -13,21 +13,22 @@ from contextlib import closing
 from pathlib import Path
 
 import lightning as L
+import numpy as np
+from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
 from cli.provenance import git_commit
-from cli.trainers import plain_trainer
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
-from gymnasium.vector import VectorEnv
 from idapt_pl.envs import BlindTarget, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
+from idapt_pl.modules import StateSAC
 from idapt_pl.rl.collect import collect
-from idapt_pl.rl.experts import RECIPES, acting_on_states, expert_folder, train_expert
+from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import random_policy
 from idapt_pl.rl.policy import Policy
-from idapt_pl.stage import Stages
+from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.tasks import TASKS, Task, make_task
 
 POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+expert")
@@ -84,7 +85,20 @@ def counted(policy: Policy, bar: tqdm, env: VectorEnv) -> Policy:
 def expert(task: Task, kind: str, seed: int, cache: Path):
     """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
     trained = task.backwards() if kind == "backwards" else task
-    stages = Stages(expert_folder(cache, task, kind, seed), seed, plain_trainer)
-    policy = train_expert(trained, task.domain("source"), RECIPES[task.name], stages, "policy")
+    stages = Stages(cache / f"{task.name}_{kind}_{seed}", seed, cpu_trainer)
+    policy = train_expert(trained, task.domain("source"), task.expert, stages, "policy")
     checkpoint = stages.folder(0) / "policy" / "final.ckpt"
     return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+
+
+def acting_on_states(policy: StateSAC, env: VectorEnv) -> Policy:
+    """A policy on states as one that is asked with images: it reads the simulations behind them.
+
+    In a target that is the true state, which nothing that learns may see; the file that is written does not hold it.
+    """
+    inner = env.unwrapped
+
+    def act(pixels: np.ndarray) -> np.ndarray:
+        return policy.act(np.asarray([inner.task.state(inner.model, d) for d in inner.data], np.float32))
+
+    return act

@@ -13,6 +13,7 @@ See docs/diagnose.md and docs/discovery.md.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,17 +29,18 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
 from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
-from cli.run_folder import open_run
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
-from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
+from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.report.diagnosis_wording import episode_list, error_rows, verdict_in_words
+from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
+from idapt_pl.run import Run
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -56,8 +58,8 @@ EXAMPLES = """examples:
 """
 
 
-def main(args: list[str]) -> int:
-    """Run ``idapt diagnose``."""
+def command_line() -> argparse.ArgumentParser:
+    """The options of ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
     p.add_argument("--model", type=Path, help="nominal model (MJCF)")
     p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
@@ -82,6 +84,12 @@ def main(args: list[str]) -> int:
     )
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
+    return p
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt diagnose``."""
+    p = command_line()
     o = p.parse_args(args)
     if o.max_effects < 1:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
@@ -94,15 +102,15 @@ def main(args: list[str]) -> int:
     if o.run is None:
         model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
     else:
-        grounding = open_run(o.run)
+        run = Run.open(o.run)
         if o.looks:
-            report_visual_effects(grounding, o.data, o.out, o.seed)
-        images = read_images(grounding, o.data)
-        source = grounding.worlds.source_domain
+            report_visual_effects(run, o.data, o.out, o.seed)
+        images = read_images(run, o.data)
+        source = run.worlds.source_domain
         model, trajectories, how = source.spec(), images.readings.target, images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()
     if o.run is not None and images.readings.calibration.velocities_unreliable:
-        print_report(*diagnose_images_by_forecasts(grounding, images, o, declared), model.compile(), o.out)
+        print_forecast_diagnosis(*diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:
@@ -160,9 +168,9 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     layout = "{desc:<22} {percentage:3.0f}% |{bar}| {elapsed}"
     with tqdm(total=100, bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
 
-        def report(what: str, share: float) -> None:
+        def report(what: str, done: float) -> None:
             bar.set_description_str(what, refresh=False)
-            bar.n = max(bar.n, round(100 * share))
+            bar.n = max(bar.n, round(100 * done))
             bar.refresh()
 
         yield report
@@ -170,52 +178,50 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     """The verdict, the errors, the effects, and where the rest is."""
-    report, model, console = diagnosis.report, diagnosis.sim.model, Console()
-    errors = Table(
-        title=f"error on held-out {episode_list(report['error']['held_out_episodes'])} (1 = measurement noise)"
-    )
+    result, model = diagnosis.result, diagnosis.sim.model
+    errors = Table(title=f"error on held-out {episode_list(result.error.held_out_episodes)} (1 = measurement noise)")
     for title, how in (("", "left"), ("error", "right"), ("", "left")):
         errors.add_column(title, justify=how)
-    for name, value, what in error_rows(report):
+    for name, value, what in error_rows(result):
         errors.add_row(name, format_number(value), what)
-    print_report(report, verdict_in_words(report, model), model, out, errors)
+    tables = [errors, *effects_tables(result.effects, model)]
+    notes = {"the rest": result.signature, "next": result.next_experiment}
+    print_findings(verdict_in_words(result, model), tables, out, notes)
     if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
         names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
-        console.print(f"not in patched.xml, as MJCF has no words for it: {escape(names)}", soft_wrap=True)
+        words = f"not in patched.xml, as MJCF has no words for it: {escape(names)}"
+        Console().print(words, soft_wrap=True)
 
 
-def print_report(
-    report: dict, verdict: Sequence[str], model: mujoco.MjModel, out: Path, errors: Table | None = None
-) -> None:
-    """The verdict in words, errors, effects, and where the rest is."""
+def print_forecast_diagnosis(report: dict, verdict: Sequence[str], model: mujoco.MjModel, out: Path) -> None:
+    """The verdict and the effects of a diagnosis by forecasts, and where the rest is."""
+    effects = [EffectEstimate.from_dict(e) for e in report["effects"]]
+    print_findings(verdict, effects_tables(effects, model), out, {})
+
+
+def print_findings(verdict: Sequence[str], tables: Sequence[Table], out: Path, notes: Mapping[str, str]) -> None:
+    """The verdict in words, tables, what there is to note, and where the rest is."""
     console = Console()
     for sentence in verdict:
         console.print(escape(sentence), soft_wrap=True, highlight=False)
-    if errors:
-        console.print(errors)
-    if report["effects"]:
-        console.print(effects_table(report, model))
-    if report["signature"]:
-        console.print(f"the rest: {escape(report['signature'])}", soft_wrap=True, highlight=False)
-    if report["next_experiment"]:
-        console.print(f"next: {escape(report['next_experiment'])}", soft_wrap=True, highlight=False)
+    for table in tables:
+        console.print(table)
+    for name, text in notes.items():
+        if text:
+            console.print(f"{name}: {escape(text)}", soft_wrap=True, highlight=False)
     console.print(f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model",
                   soft_wrap=True, highlight=False)  # fmt: skip
 
 
-def effects_table(report: dict, model: mujoco.MjModel) -> Table:
-    """A row a parameter."""
+def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> list[Table]:
+    """A table with a row for each parameter of each effect; none where there are no effects."""
     table = Table(title="effects to add")
     for title, how in (
         ("effect", "left"), ("parameter", "left"), ("estimate", "right"), ("95 %", "right"), ("unit", "left"),
         ("in the model", "right"),
     ):  # fmt: skip
         table.add_column(title, justify=how, overflow="fold")
-    for e in report["effects"]:
-        for name, p in e["parameters"].items():
-            value, interval = format_estimate(p["estimate"], p["ci95"])
-            nominal = p["nominal"] if isinstance(p["nominal"], str) else format_number(p["nominal"])
-            cells = (phrase_at(e["effect"], e["target"]), name, value, interval or "-",
-                     unit_at(model, e["target"], p["unit"]), nominal)  # fmt: skip
-            table.add_row(*map(escape, cells))
-    return table
+    for e in effects:
+        for cells in estimate_cells(e, model):
+            table.add_row(*map(escape, (phrase_at(e.effect, e.target), *cells)))
+    return [table] if effects else []

@@ -17,13 +17,11 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import show_bar
-from cli.run_folder import load_estimator, load_visual
 from idapt_pl.appearance.discovery import discover_visual_effects
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.wording import format_number
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.files import write_atomically
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.image_diagnosis.calibration import CalibratedReadings, read_calibrated
 from idapt_pl.image_diagnosis.forecast_diagnosis import diagnose_by_forecasts
 from idapt_pl.image_diagnosis.sensor import ImageSensor
@@ -31,6 +29,7 @@ from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES, DiscoverySetti
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.report.forecast_files import write_forecast_diagnosis
 from idapt_pl.report.forecast_page import forecast_verdict
+from idapt_pl.run import Run
 
 
 @dataclass(frozen=True)
@@ -59,21 +58,21 @@ class ImageRecordings:
         return {"noise": noise, "unmeasured": self.readings.unmeasured}
 
 
-def read_images(grounding: IterativeGrounding, data: Path) -> ImageRecordings:
+def read_images(run: Run, data: Path) -> ImageRecordings:
     """Read recordings with the estimator of a run."""
-    worlds, run = grounding.worlds, grounding.stages.run_dir
-    sensor, G = ImageSensor(load_estimator(grounding), worlds.task, worlds.frame_stack), load_visual(grounding)
-    control = [*run.glob("step_00/source.h5"), *sorted(run.glob("step_*/control.h5"))][-1]
+    worlds, folder = run.worlds, run.folder
+    sensor, G = ImageSensor(run.load_estimator(), worlds.task, worlds.frame_stack), run.load_visual()
+    control = [*folder.glob("step_00/source.h5"), *sorted(folder.glob("step_*/control.h5"))][-1]
     return ImageRecordings(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))
 
 
 def diagnose_images_by_forecasts(
-    grounding: IterativeGrounding, images: ImageRecordings, o: argparse.Namespace, declared: Sequence[Effect]
+    run: Run, images: ImageRecordings, o: argparse.Namespace, declared: Sequence[Effect]
 ) -> tuple[dict, list[str]]:
     """Diagnose by forecasts, for a sensor that cannot tell how fast things move.
 
     Args:
-        grounding: of the run.
+        run: whose estimator reads the images.
         images: as read.
         o: arguments of ``idapt diagnose``.
         declared: effects known already.
@@ -89,7 +88,7 @@ def diagnose_images_by_forecasts(
             f"{o.run}: its sensor cannot tell how fast things move, so effects are judged by forecasts of {o.data}'s "
             "first episodes, and by none that is held out: leave --fit and --hold-out away"
         )
-    worlds, started = grounding.worlds, time.perf_counter()
+    worlds, started = run.worlds, time.perf_counter()
     options = DiscoverySettings(True, tuple(o.candidates or DEFAULT_CANDIDATES), o.max_effects)
     source = worlds.source_domain.with_effects(*declared)
     layout = "{desc}: {n} hypotheses played and rendered {elapsed}"
@@ -97,7 +96,7 @@ def diagnose_images_by_forecasts(
 
         def make_env(domain: Domain, num_envs: int) -> VectorImageEnv:
             bar.update()
-            return worlds.seen(domain, num_envs)
+            return worlds.image_env(domain, num_envs)
 
         result = diagnose_by_forecasts(
             source, images.sensor, images.G, [o.data], [images.control], options, o.seed, make_env, images.readings
@@ -107,12 +106,12 @@ def diagnose_images_by_forecasts(
     return report, forecast_verdict(report, source.compile())
 
 
-def report_visual_effects(grounding: IterativeGrounding, data: Path, out: Path, seed: int) -> None:
+def report_visual_effects(run: Run, data: Path, out: Path, seed: int) -> None:
     """Say which visual effects the source of a run lacks; write ``looks.yaml`` and ``looks.png``.
 
     Every episode must begin as the task's do.
     """
-    worlds, console = grounding.worlds, Console()
+    worlds, console = run.worlds, Console()
     found = discover_visual_effects(worlds.task, worlds.source_domain, data, seed, worlds.view)
     out.mkdir(parents=True, exist_ok=True)
     effects = [e.to_dict() for e in found.effects]

@@ -7,11 +7,10 @@ from contextlib import closing
 from pathlib import Path
 
 from cli.arguments import parser
-from cli.run_folder import load_policy, open_run
 from idapt_pl.files import write_json
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.policy import deterministic
-from idapt_pl.rl.returns import Returns, evaluate
+from idapt_pl.rl.returns import evaluate
+from idapt_pl.run import Run
 
 
 def main(args: list[str]) -> int:
@@ -22,12 +21,12 @@ def main(args: list[str]) -> int:
     p.add_argument("--seed", type=int, default=12345, help="of the episodes' starts")
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
-    grounding = open_run(o.run)
+    run = Run.open(o.run)
     result = {
         "run": str(o.run),
         "episodes": o.episodes,
         "seed": o.seed,
-        "policies": measure(grounding, o.episodes, o.seed),
+        "policies": measure_policies(run, o.episodes, o.seed),
     }
     write_json(o.run / f"evaluation_{o.episodes}_{o.seed}.json", result)
     if o.json:
@@ -40,44 +39,39 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def measure(grounding: IterativeGrounding, episodes: int, seed: int) -> dict[str, dict]:
+def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
     """Returns of every policy the run has kept."""
-    worlds = grounding.worlds
+    worlds = run.worlds
     results: dict[str, dict] = {}
-    for name, path in policies(grounding):
-        policy = load_policy(grounding, path)
+    for name, path in finished_policies(run):
+        policy = run.load_policy(path)
         envs = {"target": worlds.rewarded_target(min(episodes, 25))}
         if name == "direct transfer":  # the others expect translated images
             envs["source"] = worlds.source(min(episodes, 25))
         results[name] = {}
         for domain, env in envs.items():
             with closing(env):
-                results[name][domain] = as_dict(evaluate(env, deterministic(policy), episodes, seed))
+                results[name][domain] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
         worlds.ledger.enter(
             -1, f"evaluation of {name}, {episodes} episodes, seed {seed}", results[name]["target"]["interactions"]
         )
     return results
 
 
-def as_dict(r: Returns) -> dict:
-    """JSON form of returns."""
-    values = {"returns": list(r.returns), "successes": list(r.successes)}
-    return {"mean": r.mean, "std": r.std, **values, "interactions": r.interactions}
-
-
-def policies(grounding: IterativeGrounding) -> list[tuple[str, Path]]:
+def finished_policies(run: Run) -> list[tuple[str, Path]]:
     """Names and checkpoints of the run's finished policies, in the order they were trained."""
-    run = grounding.stages.run_dir
     found = [
-        ("direct transfer", run / "step_00/source_policy/final.ckpt"),
-        ("visual grounding, step 0", run / "step_00/policy/final.ckpt"),
+        ("direct transfer", run.folder / "step_00/source_policy/final.ckpt"),
+        ("visual grounding, step 0", run.folder / "step_00/policy/final.ckpt"),
     ]
     found += [
-        (f"IDAPT, grounding step {k}", grounding.stages.folder(k) / "policy/final.ckpt")
-        for k in range(1, grounding.schedule.grounding_steps + 1)
+        (f"IDAPT, grounding step {k}", run.step_folder(k) / "policy/final.ckpt")
+        for k in range(1, run.config.schedule.grounding_steps + 1)
     ]
-    found += [("oracle", run / "step_00/oracle/final.ckpt")]
+    found += [("oracle", run.folder / "step_00/oracle/final.ckpt")]
     existing = [(name, path) for name, path in found if path.exists()]
     if not existing:
-        raise ValueError(f"{run} has no finished policy yet; resume it with: idapt fit --config {run / 'config.yaml'}")
+        raise ValueError(
+            f"{run.folder} has no finished policy yet; resume it with: idapt fit --config {run.folder / 'config.yaml'}"
+        )
     return existing

@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli.arguments import parser
-from cli.run_folder import load_visual, open_run
 from idapt_pl.files import write_atomically
 from idapt_pl.report.gallery import LearnedTranslation, gallery_page
+from idapt_pl.run import Run
 from idapt_pl.tasks import TASKS, make_task
 
 
@@ -33,8 +33,8 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def load_translation(run: Path) -> LearnedTranslation:
+def load_translation(folder: Path) -> LearnedTranslation:
     """G of a run's last grounding step."""
-    grounding = open_run(run)
-    worlds, G = grounding.worlds, load_visual(grounding)
+    run = Run.open(folder)
+    worlds, G = run.worlds, run.load_visual()
     return LearnedTranslation(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)

@@ -19,6 +19,7 @@ from jsonargparse import ArgumentParser, Namespace
 from idapt_pl.files import write_atomically, write_json
 from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.rendering.make import filament_is_used
+from idapt_pl.run import without_retired
 
 CHANGE_NOTHING = {
     "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers", "render_processes",
@@ -61,7 +62,7 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     path = run_dir / "config.yaml"
     if path.exists():
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
-        before = filled(yaml.safe_load(path.read_text()), defaults)
+        before = filled(without_retired(yaml.safe_load(path.read_text())), defaults)
         if different := changed_keys(before, yaml.safe_load(text)):
             raise ValueError(
                 f"{run_dir} holds a run with another config ({', '.join(different)} differ). "

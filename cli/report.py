@@ -11,8 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cli.arguments import parser
-from cli.run_folder import open_run
 from idapt_pl.report.run_page import write_run_report
+from idapt_pl.run import Run
 
 EXAMPLES = """examples:
   idapt report --run runs/inverted_pendulum_hard_0
@@ -25,5 +25,5 @@ def main(args: list[str]) -> int:
     p.add_argument("--run", type=Path, required=True, help="run folder, as `idapt fit` wrote it")
     p.add_argument("--out", type=Path, help="file to write; RUN/report.html if left out")
     o = p.parse_args(args)
-    print(write_run_report(open_run(o.run), o.out))
+    print(write_run_report(Run.open(o.run), o.out))
     return 0

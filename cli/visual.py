@@ -21,8 +21,8 @@ from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
 from datamodules.images import ImageDomains
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.modules.fit_predictor import fit_state_predictor
 from idapt_pl.modules.manual import computes_bfloat16
+from idapt_pl.modules.state_predictor import fit_state_predictor
 from idapt_pl.nets.encoder import Vision
 
 log = logging.getLogger(__name__)

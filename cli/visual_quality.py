@@ -24,7 +24,7 @@ from idapt_pl.evaluation.image_quality import (
 from idapt_pl.evaluation.video import gif, gif_summary, side_by_side
 from idapt_pl.files import write_atomically, write_json
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.modules.fit_predictor import fit_state_predictor
+from idapt_pl.modules.state_predictor import fit_state_predictor
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import to_float
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import logging
 import shutil
+import sys
 import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import lightning as L
 import torch
+from lightning.pytorch.loggers import CSVLogger
 
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import open_trajectory_file
@@ -22,6 +24,25 @@ log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
 MakeTrainer = Callable[[Path, int], L.Trainer]
 """Folder of the stage and its number of batches to a fresh Trainer."""
+
+
+def stage_trainer_settings(folder: Path, batches: int) -> dict[str, Any]:
+    """What every stage's Trainer is told; the rest is the user's."""
+    return {
+        "default_root_dir": str(folder),
+        "max_epochs": 1,
+        "limit_train_batches": batches,
+        "log_every_n_steps": max(1, batches // 250),
+        "enable_progress_bar": sys.stderr.isatty(),
+        "enable_checkpointing": False,
+        "enable_model_summary": False,
+    }
+
+
+def cpu_trainer(folder: Path, batches: int) -> L.Trainer:
+    """A Trainer for small nets, outside a run of Algorithm 1: on the CPU, metrics to a CSV file."""
+    logger = CSVLogger(folder, name="", version="")
+    return L.Trainer(accelerator="cpu", logger=logger, **stage_trainer_settings(folder, batches))
 
 
 def stage_seed(seed: int, step: int, name: str) -> int:

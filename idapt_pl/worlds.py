@@ -17,7 +17,7 @@ from idapt_pl.tasks import Task
 class Worlds:
     """Makes the environments of a run, all with the same image size and frame stack.
 
-    The source is what its domain says and what :meth:`repair` has added since.
+    The source is what its domain says and what :meth:`add_effects` has added since.
     """
 
     task: Task
@@ -29,18 +29,18 @@ class Worlds:
     view: View = WHOLE
     render_processes: int = 0
 
-    def repair(self, effects: Iterable[Effect]) -> None:
+    def add_effects(self, effects: Iterable[Effect]) -> None:
         """Add effects to the source, for all environments made from now on."""
         self.source_domain = self.source_domain.with_effects(*effects)
 
     @property
-    def repairs(self) -> tuple[Effect, ...]:
+    def added_effects(self) -> tuple[Effect, ...]:
         """Effects that were added to the source."""
         return self.source_domain.effects[len(self.task.domain("source").effects) :]
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""
-        return self.seen(self.source_domain, num_envs)
+        return self.image_env(self.source_domain, num_envs)
 
     def source_states(self, num_envs: int) -> VectorStateEnv:
         """The source: state and reward; nothing is rendered."""
@@ -63,9 +63,9 @@ class Worlds:
 
     def rewarded_target(self, num_envs: int) -> VectorImageEnv:
         """The target with its reward: for evaluation and the oracle reference, never for the method."""
-        return self.seen(self.target_domain, num_envs)
+        return self.image_env(self.target_domain, num_envs)
 
-    def seen(self, domain: Domain, num_envs: int) -> VectorImageEnv:
+    def image_env(self, domain: Domain, num_envs: int) -> VectorImageEnv:
         """A domain as the run's images show it."""
         return VectorImageEnv(
             self.task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes

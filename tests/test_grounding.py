@@ -15,11 +15,12 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from cli.main import main
-from cli.run_folder import load_policy, load_visual, open_run
 from datamodules import read_trajectories
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.run import Run
 from idapt_pl.stage import Stages, stage_seed
+from idapt_pl.stages.repair import SourceRepair
 
 STEPS = TINY["schedule.grounding_steps"]
 
@@ -266,9 +267,9 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     shutil.copytree(finished_run, run)
     hidden = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 33.0}}
     (run / "step_01/effects.json").write_text(json.dumps({"effects": [hidden]}))
-    source = open_run(run).worlds.source_domain.compile()
+    source = Run.open(run).worlds.source_domain.compile()
     assert source.body("pole").mass[0] == pytest.approx(33.0)
-    assert open_run(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
+    assert Run.open(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
 
 
 def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(finished_run, tmp_path, monkeypatch):
@@ -278,10 +279,11 @@ def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(fi
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)
     ledger = (run / "ledger.json").read_text()
-    grounding = open_run(run)
-    grounding.effects = DiscoverySettings(True, candidates=("body_mass",), max_effects=1)
-    pi = load_policy(grounding, run / "step_00/policy/final.ckpt")
-    repaired = grounding.repair_source(0, [run / "step_00/target.h5"], load_visual(grounding), pi)
+    opened = Run.open(run)
+    settings = DiscoverySettings(True, candidates=("body_mass",), max_effects=1)
+    repair = SourceRepair(opened.context, settings, opened.grounding.record_control)
+    pi = opened.load_policy(run / "step_00/policy/final.ckpt")
+    repaired = repair.physical_effects(0, [run / "step_00/target.h5"], opened.load_visual(), pi)
     found = json.loads((run / "step_00/effects.json").read_text())
     assert found["forecasts"] and np.isfinite([found["before"], found["after"], found["excess"]]).all()
     assert set(found["target"]) == {"slider", "hinge", "slider velocity", "hinge velocity"} == set(found["control"])
@@ -299,7 +301,7 @@ def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_r
     )
     found = json.loads((run / "step_00/looks.json").read_text())
     assert found["after"] < found["before"] and found["effects"]
-    source = open_run(run).worlds.source_domain
+    source = Run.open(run).worlds.source_domain
     assert [e.to_dict() for e in source.effects[-len(found["effects"]) :]] == found["effects"]
     for path in (run / "effects.yaml", run / "step_00/effects.yaml"):
         assert yaml.safe_load(path.read_text()) == found["effects"]
@@ -328,7 +330,7 @@ def test_where_its_sensor_is_vague_a_recording_of_images_is_diagnosed_by_forecas
     data, out = finished_run / "step_00/target.h5", tmp_path / "diagnosis"
     args = ["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(out), *IMAGES]
     assert main(args) == 0
-    report, source = json.loads((out / "report.json").read_text()), open_run(finished_run).worlds.source_domain
+    report, source = json.loads((out / "report.json").read_text()), Run.open(finished_run).worlds.source_domain
     assert report["error"]["metric"].startswith("energy score") and report["error"]["noise_floor"] > 0
     assert set(report["error"]["per_channel"]) == {"slider", "hinge", "slider velocity", "hinge velocity"}
     found = yaml.safe_load((out / "effects.yaml").read_text())
@@ -365,6 +367,21 @@ def test_a_run_of_a_version_that_did_not_know_some_keys_is_resumed_with_their_de
     (run / "config.yaml").write_text(yaml.safe_dump(config | {"run_dir": str(run)}))
     assert main(["fit", *tiny_args(run)]) == 0
     assert yaml.safe_load((run / "config.yaml").read_text())["visual"]["channels_last"] is False
+
+
+def test_a_run_of_a_version_that_had_more_keys_is_resumed_and_opened(finished_run, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    config = yaml.safe_load((run / "config.yaml").read_text()) | {"run_dir": str(run)}
+    config["policy"]["estimator_jitter"] = 0.0
+    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    Run.open(run)
+    assert main(["fit", "--config", str(run / "config.yaml")]) == 0
+    assert "estimator_jitter" not in (run / "config.yaml").read_text()
+    config["policy"]["estimator_jitter"] = 0.3  # it did something
+    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    assert main(["fit", "--config", str(run / "config.yaml")]) != 0
+    assert "estimator_jitter" in capsys.readouterr().err
 
 
 def test_the_kept_config_alone_resumes_the_run(finished_run):

@@ -47,6 +47,8 @@ def offenders(folder, *forbidden):
             ("idapt_pl.envs", "idapt_pl.tasks", "idapt_pl.effects", "idapt_pl.worlds", "idapt_pl.rl"),
         ),
         ("idapt_pl/envs", ("idapt_pl.modules", "lightning", "torch")),
+        ("idapt_pl/diagnosis", ("idapt_pl.modules", "idapt_pl.report", "idapt_pl.tasks", "lightning", "torch")),
+        ("idapt_pl/estimation", ("idapt_pl.diagnosis", "idapt_pl.image_diagnosis", "idapt_pl.effects", "mujoco")),
         ("idapt_pl/effects", ("idapt_pl.tasks", "idapt_pl.envs", "lightning", "torch")),
     ],
 )

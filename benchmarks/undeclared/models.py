@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import gymnasium
 import mujoco
 import numpy as np
-
-import gymnasium
 
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 Start = tuple[tuple[float, float], ...]

@@ -5,11 +5,13 @@ from __future__ import annotations
 from contextlib import closing
 
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import Trajectories
-from gymnasium.vector import VectorEnv
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
+from idapt_pl.stages.policy import fit_policy
+from idapt_pl.stages.state_predictor import fit_P_S
 
 
 def train_oracle(grounding: IterativeGrounding) -> dict:
@@ -17,23 +19,25 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
 
     It trains as long as the method's policies did together. Its interactions are entered in the ledger
     under a purpose of their own.
+
+    Returns:
+        As of :meth:`~idapt_pl.evaluation.evaluation.Evaluation.target_return`.
     """
-    fit, schedule, worlds = grounding.fit, grounding.schedule, grounding.worlds
+    c, schedule = grounding.context, grounding.schedule
+    worlds, stages = c.worlds, c.stages
     steps = schedule.source_policy + schedule.pretrain.policy + schedule.grounding_steps * schedule.finetune.policy
 
     def make_env(device: torch.device) -> VectorEnv:
-        return worlds.rewarded_target(fit.feeding.num_envs)
+        return worlds.rewarded_target(c.batches.num_envs)
 
     def collect_labelled(seed: int) -> Trajectories:
         with closing(worlds.rewarded_target(1)) as env:
             return collect(env, grounding.explore(seed), schedule.images, seed, "oracle reference")
 
-    path, images = grounding.stages.record(0, "oracle", collect_labelled)
-    predictor = fit.state_predictor(0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
-    policy = fit.policy(0, "oracle", make_env, steps, predictor.P_S, [path])
-    worlds.ledger.enter(0, "oracle reference", images + steps + fit.feeding.warmup_steps)
-    result = grounding.stages.measure(
-        0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed)
-    )
+    path, images = stages.record(0, "oracle", collect_labelled)
+    predictor = fit_P_S(c, 0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
+    policy = fit_policy(c, 0, "oracle", make_env, steps, predictor.P_S, [path])
+    worlds.ledger.enter(0, "oracle reference", images + steps + c.batches.warmup_steps)
+    result = stages.measure(0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed))
     worlds.ledger.enter(0, "evaluation of the oracle", result["interactions"])
     return result

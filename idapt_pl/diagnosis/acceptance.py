@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.search_state import AcceptedEffect, Search, Trial
+from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
 from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.wording import format_number
 from idapt_pl.effects.world import ExternalForce
 from idapt_pl.estimation.intervals import paired_gain
-from idapt_pl.estimation.least_squares import effects_of, robust_loss
 
 log = logging.getLogger(__name__)
 FAR_LOSS = 10.0
@@ -23,7 +27,7 @@ NOTICEABLE_CHANGE = 0.03
 
 What a found effect's law or the integration gets wrong by a per cent looks like that.
 """
-CLEAR_SHARE = 0.25
+CLEAR_GAIN = 0.25
 """Share of the held-out error that a first effect must remove where velocities are only slopes of positions.
 
 What the slopes get wrong at the start of a window is not all in the noise; a lag of 2 ms or a little rotor inertia
@@ -32,63 +36,81 @@ PARSIMONY = 0.15
 """Share of the best gain that every further parameter must then be worth."""
 
 
-def confirm(search: Search, chosen: list[Trial]) -> list[Trial]:
-    """Refit candidates, the best of them without shortcuts, and see what these are worth on held-out episodes."""
-    losses = {id(t): rough_fit(search, t) for t in chosen}
-    chosen = sorted(chosen, key=lambda t: losses[id(t)])
-    now_fit = float(robust_loss(search.z(search.scout, search.effects)).mean())
-    now = search.loss(search.effects)
-    confirmed = []
-    for t in chosen:
-        best = losses[id(chosen[0])]
-        if len(confirmed) < search.settings.refined and losses[id(t)] <= best + 0.4 * max(now_fit - best, 0.0):
-            refine(search, t, now)
-            confirmed.append(t)
+def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial]) -> list[Trial]:
+    """Refit candidates, the best of them without shortcuts, and see what these are worth on held-out episodes.
+
+    Returns:
+        Their trials, by what they leave on few windows, the least first; most of them rejected.
+    """
+    rough = sorted((rough_fit(context, state, t) for t in chosen), key=lambda t: t.rough_loss)
+    without = float(context.loss(state.windows.scout, state.effects).mean())
+    now = context.loss(state.windows.held_out, state.effects)
+    confirmed, refined = [], 0
+    for t in rough:
+        best = rough[0].rough_loss
+        if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
+            confirmed.append(refine(context, state, t, now))
+            refined += 1
         else:
-            t.rejected_because = (
-                f"refitted, it leaves {losses[id(t)]:.3g}; {chosen[0].candidate.label} leaves {best:.3g}"
-            )
+            text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
+            confirmed.append(t.rejected(RejectionReason.POOR_FIT, text))
     return confirmed
 
 
-def rough_fit(search: Search, t: Trial) -> float:
-    """Refit a candidate on few windows. Returns the loss."""
-    fit = search.refit(search.scout, [*search.accepted, t.candidate], [*search.x, t.x[-1]], 3)
-    t.x = fit.x
-    return fit.loss
+def rough_fit(context: SearchContext, state: SearchState, t: Trial) -> Trial:
+    """Refit a candidate, with all accepted effects free, on few windows."""
+    candidates, x = [*state.candidates, t.candidate], [*state.estimates, t.x[-1]]
+    fit = context.fit(state.windows.scout, state.fixed, candidates, x, 3)
+    return replace(t, x=fit.x, rough_loss=fit.solution.loss)
 
 
-def refine(search: Search, t: Trial, now: np.ndarray) -> None:
-    """Refit a candidate, with all accepted effects free, and judge it; ``now``: held-out losses without it."""
-    candidates = [*search.accepted, t.candidate]
-    t.x = search.refit(search.screen, candidates, t.x, 3).x
-    t.losses = search.loss((*search.fixed, *effects_of(candidates, t.x)))
-    t.gain, t.gain_error = paired_gain(now, t.losses, search.held_out.windows.episode)
-    t.rejected_because = objection(search, t, now)
+def refine(context: SearchContext, state: SearchState, t: Trial, now: np.ndarray) -> Trial:
+    """Refit a candidate, with all accepted effects free, and judge it; ``now``: held-out losses without it, (n,)."""
+    candidates = [*state.candidates, t.candidate]
+    x = context.fit(state.windows.screen, state.fixed, candidates, t.x, 3).x
+    losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
+    gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
+    t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
+    return replace(t, rejection=objection(context, t, now))
 
 
-def objection(search: Search, t: Trial, now: np.ndarray) -> str:
-    """Why a refitted candidate is not accepted, or nothing."""
-    s, level = search.settings, float(now.mean())
+def objection(context: SearchContext, t: Trial, now: np.ndarray) -> Rejection | None:
+    """Why a refitted candidate is not accepted, if it is not; ``now``: held-out losses without it, (n,)."""
+    because, level = RejectionReason, float(now.mean())
     if beyond_its_kind(t.candidate, t.x[-1]):
-        return f"its estimate ran to the end of what sensors are off by ({format_number(t.x[-1][0])} {t.candidate.units()[0]})"
-    if t.gain - s.sureness * t.gain_error <= 0:
-        return f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
+        reached = f"{format_number(t.x[-1][0])} {t.candidate.units()[0]}"
+        text = f"its estimate ran to the end of what sensors are off by ({reached})"
+        return Rejection(because.BEYOND_SENSORS, text)
+    if t.gain - context.settings.sureness * t.gain_error <= 0:
+        text = f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
+        return Rejection(because.UNSURE_GAIN, text)
+    if text := too_small_a_gain(context, t, level):
+        return Rejection(because.SMALL_GAIN, text)
+    if t.round and level < 1.05:
+        return Rejection(because.NOISE_FLOOR, "the noise floor is reached without it")
+    if t.round and t.gain < max(0.05 * level, 0.08):
+        removed = f"{100 * t.gain / level:.1f} %"
+        text = f"as a further effect it removes {removed} of the held-out error, less than 5 %"
+        return Rejection(because.SMALL_GAIN, text)
+    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE:
+        change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
+        return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
+    if np.median(now) < 1.15 and t.gain < 0.15 * level:
+        return Rejection(because.NOISE_FLOOR, "the typical window is at the noise floor already")
+    return None
+
+
+def too_small_a_gain(context: SearchContext, t: Trial, level: float) -> str:
+    """Why a sure gain is too small, or nothing; ``level``: mean held-out loss without the candidate."""
+    s = context.settings
     if t.gain < s.relative_gain * level:
         return f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
-    if not search.sim.velocities and not t.round and t.gain < CLEAR_SHARE * level:
-        return f"it removes {100 * t.gain / level:.0f} % of the error; without velocities {100 * CLEAR_SHARE:.0f} % are asked"
+    if not context.sim.velocities and not t.round and t.gain < CLEAR_GAIN * level:
+        removed = f"{100 * t.gain / level:.0f} %"
+        return f"it removes {removed} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
     if t.gain < s.removable_gain * max(level - 1.0, 0.0):
         above = 100 * t.gain / (level - 1)
         return f"it removes {above:.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"
-    if t.round and level < 1.05:
-        return "the noise floor is reached without it"
-    if t.round and t.gain < max(0.05 * level, 0.08):
-        return f"as a further effect it removes {100 * t.gain / level:.1f} % of the held-out error, less than 5 %"
-    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE:
-        return f"as a further effect it is too small to matter: {100 * t.candidate.change(t.x[-1]):.1g} % of its scale"
-    if np.median(now) < 1.15 and t.gain < 0.15 * level:
-        return "the typical window is at the noise floor already"
     return ""
 
 
@@ -97,30 +119,48 @@ def beyond_its_kind(c: Candidate, x: np.ndarray) -> bool:
     return c.span is not None and issubclass(c.kind, SensingEffect) and bool(np.isclose(c.span, x[:, None]).any())
 
 
-def accept(search: Search, confirmed: list[Trial]) -> AcceptedEffect | None:
-    """The best of those that passed: fewest parameters among those that are as good as the best."""
-    passed = [t for t in confirmed if not t.rejected_because]
+def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
+    """The best of those that passed: fewest parameters among those that are as good as the best.
+
+    Args:
+        state: the current model.
+        trials: of :func:`confirm`.
+
+    Returns:
+        The model with it, not refitted (None where none passed), and the trials, all others rejected.
+    """
+    passed = [t for t in trials if t.rejection is None]
     if not passed:
-        return None
+        return None, list(trials)
+    best, close = best_and_close(passed)
+    equivalent = [t for t in close if t is not best and indistinguishable(state, best, t)]
+
+    def decided(t: Trial) -> Trial:
+        if t is best or t.rejection:
+            return t
+        if t in equivalent:
+            text = f"as good as {best.candidate.label}: these data cannot tell them apart"
+            return t.rejected(RejectionReason.EQUIVALENT, text)
+        text = f"{best.candidate.label} leaves less ({best.held_out:.3g} against {t.held_out:.3g})"
+        return t.rejected(RejectionReason.WORSE, text)
+
+    others = (t for t in trials if t is not best and t.losses is not None)
+    rivals = sorted(others, key=lambda t: t.held_out)[:3]
+    new = AcceptedEffect(best.round, best.candidate, best.x[-1], tuple(equivalent), tuple(rivals))
+    log.info("found %s = %s; held-out error %.3g", best.candidate.label, best.x[-1].round(4), best.held_out)
+    before = state.with_estimates(best.x[:-1])
+    return replace(before, accepted=(*before.accepted, new)), [decided(t) for t in trials]
+
+
+def best_and_close(passed: Sequence[Trial]) -> tuple[Trial, list[Trial]]:
+    """The best, and those whose held-out error is close to it."""
     top = min(passed, key=lambda t: t.held_out + handicap(t))
     if top.held_out > FAR_LOSS:  # more is missing than this one: what bends to many shapes soaks it up
         top = min(passed, key=lambda t: t.held_out + handicap(t) + PARSIMONY * (t.candidate.size - 1) * top.gain)
     near = min(0.1 * max(top.gain, 0.0), 0.03 + 0.03 * top.held_out)
     close = [t for t in passed if t.held_out - top.held_out <= near]
     best = min(close, key=lambda t: (t.candidate.size, t.candidate.target in ("*", ACTUATED), t.held_out + handicap(t)))
-    for t in passed:
-        if t is not best:
-            t.rejected_because = f"{best.candidate.label} leaves less ({best.held_out:.3g} against {t.held_out:.3g})"
-    alike = [
-        t for t in close if t is not best and abs(t.held_out - best.held_out) <= indistinguishable(search, best, t)
-    ]
-    for t in alike:
-        t.rejected_because = f"as good as {best.candidate.label}: these data cannot tell them apart"
-    rivals = sorted((t for t in confirmed if t is not best), key=lambda t: t.held_out)[:3]
-    search.x = best.x[:-1]
-    search.found.append(AcceptedEffect(best.candidate, best.x[-1], equivalent=alike, rivals=rivals))
-    log.info("found %s = %s; held-out error %.3g", best.candidate.label, best.x[-1].round(4), best.held_out)
-    return search.found[-1]
+    return best, close
 
 
 def handicap(t: Trial) -> float:
@@ -128,7 +168,7 @@ def handicap(t: Trial) -> float:
     return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect | ExternalForce) else 0.0
 
 
-def indistinguishable(search: Search, a: Trial, b: Trial) -> float:
-    """How far apart two held-out losses may be for the data not to tell the two candidates apart."""
-    _, error = paired_gain(b.losses, a.losses, search.held_out.windows.episode)
-    return max(2.0 * error, 0.005 * a.held_out)
+def indistinguishable(state: SearchState, best: Trial, other: Trial) -> bool:
+    """Whether the held-out losses of two candidates are so close that the data do not tell them apart."""
+    _, error = paired_gain(other.losses, best.losses, state.windows.held_out.windows.episode)
+    return abs(other.held_out - best.held_out) <= max(2.0 * error, 0.005 * best.held_out)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from datamodules import Trajectories
+from datamodules import Episode, Trajectories
 
 log = logging.getLogger(__name__)
 
@@ -80,50 +80,55 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
     Raises:
         UnusableData: naming the episode, what was expected and what came.
     """
-    made, measured = [], True
     if not (np.isfinite(data.dt) and data.dt > 0):
         raise UnusableData(f"the control period dt must be a positive number of seconds, got {data.dt}")
-    for i, episode in enumerate(data):
-        where, seen = f"episode_{i}", episode.observations
-        qpos, qvel = seen.get("qpos"), seen.get("qvel")
-        if qpos is None and "state" in seen and seen["state"].shape[-1] == model.nq + model.nv:
-            qpos, qvel = np.split(seen["state"], [model.nq], axis=-1)
-        if qpos is None:
-            raise UnusableData(
-                f"{where}: no observations/qpos (nor a state of qpos and qvel together); it has: "
-                f"{', '.join(sorted(seen)) or 'nothing'}"
-            )
+    measured = [measured_signals(model, f"episode_{i}", episode) for i, episode in enumerate(data)]
+    steps = sum(len(episode.actions) for episode in data)
+    if steps < 20:
+        raise UnusableData(f"{len(measured)} episodes with {steps} steps are too few to diagnose from")
+    sloped = []
+    for i, (episode, (qpos, _)) in enumerate(zip(data, measured, strict=True)):
         time = episode.timestamps if episode.timestamps is not None else data.dt * np.arange(len(episode) + 1)
-        for name, array, width in (
-            ("qpos", qpos, model.nq),
-            ("qvel", qvel, model.nv),
-            ("actions", episode.actions, model.nu),
-        ):
-            if array is None:
-                continue
-            if array.ndim != 2 or array.shape[1] != width:
-                raise UnusableData(
-                    f"{where}: {name} has shape {array.shape}, but the model has {width} "
-                    f"{'actuators' if name == 'actions' else name + ' entries'}"
-                )
-            if not np.isfinite(array).all():
-                row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
-                raise UnusableData(f"{where}: {name} holds NaN or infinite values, first in row {row}")
-        measured &= qvel is not None
-        made.append((where, np.asarray(time, float), np.asarray(qpos, float), qvel, np.asarray(episode.actions, float)))
-    if sum(len(a) for *_, a in made) < 20 or not made:
-        raise UnusableData(
-            f"{len(made)} episodes with {sum(len(a) for *_, a in made)} steps are too few to diagnose from"
-        )
-    sloped = [Recording(name, t, q, slopes(model, t, q), a) for name, t, q, _, a in made]
-    if not measured:
+        time, qpos, actions = (np.asarray(x, float) for x in (time, qpos, episode.actions))
+        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions))
+    if any(qvel is None for _, qvel in measured):
         return sloped, False
-    shown = [replace(r, qvel=np.asarray(v, float)) for r, (*_, v, _) in zip(sloped, made, strict=True)]
+    shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
     late = lateness(shown, sloped) if may_lag else 0.0
     if late > LATEST_VELOCITIES * np.median(np.concatenate([np.diff(r.time) for r in shown])):
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return sloped, False
     return shown, True
+
+
+def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tuple[np.ndarray, np.ndarray | None]:
+    """Positions and velocities (None where they were not measured) of an episode that fits the model.
+
+    Raises:
+        UnusableData: one is missing, is not finite or has another shape than the model asks for.
+    """
+    seen = episode.observations
+    qpos, qvel = seen.get("qpos"), seen.get("qvel")
+    if qpos is None and "state" in seen and seen["state"].shape[-1] == model.nq + model.nv:
+        qpos, qvel = np.split(seen["state"], [model.nq], axis=-1)
+    if qpos is None:
+        raise UnusableData(
+            f"{where}: no observations/qpos (nor a state of qpos and qvel together); it has: "
+            f"{', '.join(sorted(seen)) or 'nothing'}"
+        )
+    for name, array, width, entries in (
+        ("qpos", qpos, model.nq, "qpos entries"),
+        ("qvel", qvel, model.nv, "qvel entries"),
+        ("actions", episode.actions, model.nu, "actuators"),
+    ):
+        if array is None:
+            continue
+        if array.ndim != 2 or array.shape[1] != width:
+            raise UnusableData(f"{where}: {name} has shape {array.shape}, but the model has {width} {entries}")
+        if not np.isfinite(array).all():
+            row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
+            raise UnusableData(f"{where}: {name} holds NaN or infinite values, first in row {row}")
+    return qpos, qvel
 
 
 def lateness(shown: list[Recording], sloped: list[Recording]) -> float:

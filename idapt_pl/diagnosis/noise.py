@@ -1,4 +1,4 @@
-"""Noise of the sensors, and whitening of residuals with it."""
+"""Noise of the sensors: given, or estimated from the recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from idapt_pl.diagnosis.data import SLOPE_HALF_WIDTH, Recording, Windows, position_difference, slopes
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 
-KIND_SHARE = 0.5
+LEAST_OF_KIND = 0.5
 """Share of the median noise of sensors of its kind that a sensor has at least."""
 
 PRIOR_WEIGHT = 0.2
@@ -29,32 +29,6 @@ class Noise:
     sensors: np.ndarray
     start: np.ndarray
     systematic: Effects = ()
-
-
-@dataclass(frozen=True)
-class InitialStateSensitivity:
-    """How residuals depend on the first state of their window, by central differences of a finite size.
-
-    Attributes:
-        slope: d residual / d first state, (n, j, channels, 2 nv).
-        bend: half the second derivative, along each coordinate, (n, j, channels, 2 nv). Small where things are smooth,
-            large where the noise decides when a contact begins.
-    """
-
-    slope: np.ndarray
-    bend: np.ndarray
-
-
-def initial_sensitivity(
-    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray
-) -> InitialStateSensitivity:
-    """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise."""
-    base, slope, bend = sim.residual(effects, windows), [], []
-    for nudge in np.diag(size):
-        above, below = (sim.residual(effects, windows, n) for n in (nudge, -nudge))
-        slope.append((above - below) / (2 * nudge.sum()))
-        bend.append((above + below - 2 * base) / (2 * nudge.sum() ** 2))
-    return InitialStateSensitivity(np.stack(slope, -1), np.stack(bend, -1))
 
 
 def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:
@@ -111,7 +85,7 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
 
 
 def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
-    """No sensor is taken to be much better than the others of its kind (:data:`KIND_SHARE`).
+    """No sensor is taken to be much better than the others of its kind (:data:`LEAST_OF_KIND`).
 
     Where stiff springs or contacts pass the noise of other channels on, a channel's own is a small part of what is
     seen, and the estimate of it may come out as nothing: all the rest would then count as evidence.
@@ -123,7 +97,7 @@ def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
     turns = np.concatenate([{0: [0] * 3 + [1] * 3, 1: [1] * 3, 2: [0], 3: [1]}[int(t)] for t in model.jnt_type])
     kind, out = np.concatenate([turns, 2 + turns]), sigma.copy()
     for k in np.unique(kind):
-        out[kind == k] = np.maximum(sigma[kind == k], KIND_SHARE * np.median(sigma[kind == k]))
+        out[kind == k] = np.maximum(sigma[kind == k], LEAST_OF_KIND * np.median(sigma[kind == k]))
     return out
 
 
@@ -199,27 +173,3 @@ def fit_variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.nd
         pull = PRIOR_WEIGHT * np.sqrt(n) / guess
         v, _ = nnls(np.concatenate([left, np.diag(pull)]), np.concatenate([right, pull * guess]), maxiter=100 * p)
     return v
-
-
-def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray) -> np.ndarray:
-    """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, j channels): a row for what is compared.
-
-    R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
-    last, windows in which the noise decides whether a foot touches the floor would outweigh all others.
-    """
-    n, j, channels, _ = at.slope.shape
-    rows = np.flatnonzero(np.tile(compared, j))
-    S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start)], -1)
-    S = S.reshape(n, j * channels, -1)[:, rows]
-    R = S @ S.transpose(0, 2, 1)
-    R[:, np.arange(len(rows)), np.arange(len(rows))] += np.square(np.tile(noise.sensors, j)[rows])
-    scale = np.sqrt(np.einsum("nii->ni", R))
-    C = R / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(len(rows))
-    W = np.zeros((n, len(rows), j * channels))
-    W[:, :, rows] = np.linalg.inv(np.linalg.cholesky(C)) / scale[:, None, :]
-    return W
-
-
-def whiten(W: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Whitened rows: (n, j, channels) to (n, rows)."""
-    return np.einsum("nab,nb->na", W, residual.reshape(len(residual), -1))

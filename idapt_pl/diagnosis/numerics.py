@@ -3,45 +3,69 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.candidates import numerics_candidates
-from idapt_pl.diagnosis.search_state import Search
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
+from idapt_pl.effects.world import Numerics
 from idapt_pl.estimation.intervals import paired_gain
-from idapt_pl.estimation.least_squares import effects_of, robust_loss
 
 log = logging.getLogger(__name__)
 NUMERICS_FLOOR = 1.05
 """Loss at which nothing is left for other numerics to gain."""
 
 
-def retest_numerics(search: Search) -> None:
-    """Try other numerics, with the accepted effects refitted; again after every addition."""
-    search.progress("numerics", 0.08)
-    if not search.settings.numerics or any(e.name == "numerics" for e in search.declared):
-        return
-    others = tuple(e for e in search.fixed if e.name != "numerics")
-    level = float(robust_loss(search.z(search.screen, search.effects)).mean())
-    if level < NUMERICS_FLOOR:
-        return
-    best, best_loss, best_x = None, level, []
-    for effect in numerics_candidates(search.sim.model):
-        if effect in search.fixed:
-            continue
-        x = search.x
-        if search.found:  # estimates shift with the integrator: compare after a refit
-            x = search.refit(search.screen, search.accepted, x, 3, fixed=(*others, effect)).x
-        tried = (*others, effect, *effects_of(search.accepted, x))
-        loss = float(robust_loss(search.z(search.screen, tried)).mean())
-        if loss < 0.98 * level and loss < 1.3 * best_loss:  # about as good: the finer one, tried later
-            best, best_x, best_loss = effect, x, min(loss, best_loss)
+def retest_numerics(context: SearchContext, state: SearchState) -> SearchState:
+    """Try other numerics, with the accepted effects refitted; again after every addition.
+
+    Returns:
+        The state with them, whitened again and refitted, or the same where none is clearly better.
+    """
+    context.progress("numerics", 0.08)
+    if not context.settings.numerics or context.numerics_declared:
+        return state
+    best = best_numerics(context, state)
     if best is None:
-        return
-    now = search.loss(search.effects)
-    after = search.loss((*others, best, *effects_of(search.accepted, best_x)))
-    gain, error = paired_gain(now, after, search.held_out.windows.episode)
+        return state
+    held_out = state.windows.held_out
+    now, after = context.loss(held_out, state.effects), context.loss(held_out, best.effects)
+    gain, error = paired_gain(now, after, held_out.windows.episode)
     level = float(now.mean())
-    if gain - search.settings.sureness * error > 0 and gain > max(0.03 * level, 0.1 * max(level - 1.0, 0.0), 0.05):
-        log.info("numerics: %s leaves %.3g of %.3g", best.to_dict()["parameters"], after.mean(), level)
-        search.fixed, search.x = (*others, best), best_x
-        search.renew()
-        search.settle()
+    sure = gain - context.settings.sureness * error > 0
+    if not (sure and gain > max(0.03 * level, 0.1 * max(level - 1.0, 0.0), 0.05)):
+        return state
+    log.info("numerics: %s leaves %.3g of %.3g", best.fixed[-1].to_dict()["parameters"], after.mean(), level)
+    return refit_accepted(context, renew(context, best))
+
+
+def best_numerics(context: SearchContext, state: SearchState) -> SearchState | None:
+    """The state with the numerics that leave least on the screen's windows; None where none leaves less.
+
+    Of numerics that are about as good the finer ones are taken, which are tried later.
+    """
+    others = tuple(e for e in state.fixed if e.name != Numerics.name)
+    level = float(context.loss(state.windows.screen, state.effects).mean())
+    if level < NUMERICS_FLOOR:
+        return None
+    best, best_loss = None, level
+    for effect in numerics_candidates(context.sim.model):
+        if effect in state.fixed:
+            continue
+        fixed = (*others, effect)
+        x = refit_under(context, state, fixed)
+        loss = float(context.loss(state.windows.screen, (*fixed, *effects_of(state.candidates, x))).mean())
+        if loss < 0.98 * level and loss < 1.3 * best_loss:
+            best, best_loss = replace(state, fixed=fixed).with_estimates(x), min(loss, best_loss)
+    return best
+
+
+def refit_under(context: SearchContext, state: SearchState, fixed: tuple) -> Sequence[np.ndarray]:
+    """Estimates under other numerics: they shift with the integrator, so effects are compared after a refit."""
+    if not state.accepted:
+        return state.estimates
+    return context.fit(state.windows.screen, fixed, state.candidates, state.estimates, 3).x

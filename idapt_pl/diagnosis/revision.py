@@ -3,90 +3,109 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from idapt_pl.diagnosis.acceptance import FAR_LOSS, NOTICEABLE_CHANGE, PARSIMONY, beyond_its_kind, handicap, rough_fit
+from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.search_state import AcceptedEffect, Search, Trial
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.intervals import paired_gain
-from idapt_pl.estimation.least_squares import effects_of
+from idapt_pl.estimation.stepwise import backward_elimination
 
 log = logging.getLogger(__name__)
-
-
 SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
 
 
-def swap_for_rivals(search: Search) -> None:
+def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
     """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again.
 
     Where several effects are missing at once and much of the error stays, the first choice was made in their shadow,
     and so were its rivals: then every effect has to stand against whatever the screen finds best in its place.
     """
-    search.progress("trying rivals", 0.88)
+    context.progress("trying rivals", 0.88)
     for _ in range(SWAP_PASSES):
-        far = len(search.found) > 1 and float(search.loss(search.effects).mean()) > FAR_LOSS
-        turns = search.found if far or len(search.found) < 2 else search.found[:-1]
-        swapped = [swap_one(search, f, rivals_for_place(search, f) if far else f.rivals) for f in list(turns)]
-        if not far or not any(swapped):
-            return
+        far = len(state.accepted) > 1 and far_from_explained(context, state)
+        places = len(state.accepted) if far or len(state.accepted) < 2 else len(state.accepted) - 1
+        before = state
+        for place in range(places):
+            rivals = rivals_for(context, state, place) if far else state.accepted[place].rivals
+            state = swap_one(context, state, place, rivals)
+        if not far or state is before:
+            break
+    return state
 
 
-def rivals_for_place(search: Search, f: AcceptedEffect) -> list[Trial]:
+def far_from_explained(context: SearchContext, state: SearchState) -> bool:
+    """Whether so much of the held-out error is left that more than one effect must be missing or wrong."""
+    return float(context.loss(state.windows.held_out, state.effects).mean()) > FAR_LOSS
+
+
+def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[Trial]:
     """The best candidates for the place of a found effect, given the others; roughly refitted."""
-    found, x = search.found, search.x
-    search.found = [g for g in found if g is not f]
-    search.settle()
-    chosen = shortlist(screen_candidates(search, len(found)), search.settings.confirm)
-    losses = {id(t): rough_fit(search, t) for t in chosen}
-    search.found, search.x = found, x
-    rivals = [t for t in chosen if (t.candidate.label, t.candidate.names) != (f.candidate.label, f.candidate.names)]
-    return sorted(rivals, key=lambda t: losses[id(t)])[:3]
+    own = state.accepted[place].candidate
+    rest = refit_accepted(context, state.without(state.accepted[place]))
+    chosen = shortlist(screen_candidates(context, rest, len(state.accepted)), context.settings.confirm)
+    rough = sorted((rough_fit(context, rest, t) for t in chosen), key=lambda t: t.rough_loss)
+    return [t for t in rough if (t.candidate.label, t.candidate.names) != (own.label, own.names)][:3]
 
 
-def swap_one(search: Search, f: AcceptedEffect, rivals: list[Trial]) -> bool:
-    """Whether a rival took the place of an effect."""
-    rest = [g for g in search.found if g is not f]
-    now = search.loss(search.effects)
-    best, best_loss, best_x = None, float(now.mean()), []
+def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Sequence[Trial]) -> SearchState:
+    """The state with a rival in the place of an effect, or the same where none is clearly better."""
+    old = state.accepted[place]
+    rest = state.without(old)
+    now = context.loss(state.windows.held_out, state.effects)
+    best, best_loss, best_x = None, float(now.mean()), ()
     for t in rivals:
-        candidates = [*(g.candidate for g in rest), t.candidate]
-        fit = search.refit(search.fit, candidates, [*(g.x for g in rest), t.x[-1]], 4)
-        after = search.loss((*search.fixed, *effects_of(candidates, fit.x)))
-        gain, error = paired_gain(now, after, search.held_out.windows.episode)
-        dearer = PARSIMONY * max(t.candidate.size - f.candidate.size, 0) * max(gain, 0.0)
-        if beyond_its_kind(t.candidate, fit.x[-1]):
+        candidates = [*rest.candidates, t.candidate]
+        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 4).x
+        after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
+        gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
+        dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
+        if beyond_its_kind(t.candidate, x[-1]):
             continue
         if after.mean() + handicap(t) + dearer < best_loss and gain > max(error, 0.03 * float(now.mean())):
-            best, best_loss, best_x = t, float(after.mean()), fit.x
+            best, best_loss, best_x = t.candidate, float(after.mean()), x
     if best is None:
-        return False
-    log.info("%s in place of %s: %.3g", best.candidate.label, f.candidate.label, best_loss)
-    f.candidate, f.x, f.equivalent = best.candidate, best_x[-1], []
-    for g, x in zip(rest, best_x[:-1], strict=True):
-        g.x = x
-    search.renew()
-    search.settle()
-    retest_numerics(search)
-    return True
+        return state
+    log.info("%s in place of %s: %.3g", best.label, old.candidate.label, best_loss)
+    state = with_rival(state, old, best, best_x)
+    return retest_numerics(context, refit_accepted(context, renew(context, state)))
 
 
-def eliminate_needless(search: Search) -> None:
+def with_rival(state: SearchState, old: AcceptedEffect, new: Candidate, x: Sequence[np.ndarray]) -> SearchState:
+    """A candidate in the place of an effect; ``x``: parameters of the others in their order, then its own."""
+    others = iter(x[:-1])
+    taken = replace(old, candidate=new, x=x[-1], equivalent=())
+    return replace(state, accepted=tuple(taken if a is old else replace(a, x=next(others)) for a in state.accepted))
+
+
+def eliminate_needless(context: SearchContext, state: SearchState) -> SearchState:
     """Leave out again what the later effects have made needless."""
-    search.progress("pruning", 0.9)
-    s = search.settings
-    for f in list(search.found):
-        if len(search.found) < 2:
-            return
-        rest = [g for g in search.found if g is not f]
-        candidates = [g.candidate for g in rest]
-        fit = search.refit(search.fit, candidates, [g.x for g in rest], 4)
-        with_it, without = search.loss(search.effects), search.loss((*search.fixed, *effects_of(candidates, fit.x)))
-        gain, error = paired_gain(without, with_it, search.held_out.windows.episode)
-        needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
-        slight = f is not search.found[0] and f.candidate.change(f.x) < NOTICEABLE_CHANGE
-        if needless or slight:
-            log.info("pruned %s: without it %.3g, with it %.3g", f.candidate.label, without.mean(), with_it.mean())
-            search.found = rest
-            search.x = fit.x
+    context.progress("pruning", 0.9)
+
+    def without(state: SearchState, round: int) -> SearchState | None:
+        return without_if_needless(context, state, next(a for a in state.accepted if a.round == round))
+
+    return backward_elimination(state, [a.round for a in state.accepted], without)
+
+
+def without_if_needless(context: SearchContext, state: SearchState, effect: AcceptedEffect) -> SearchState | None:
+    """The state without an effect, the others refitted, where they do as well alone."""
+    s, held_out = context.settings, state.windows.held_out
+    rest = refit_accepted(context, state.without(effect))
+    with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
+    gain, error = paired_gain(without, with_it, held_out.windows.episode)
+    needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
+    slight = effect is not state.accepted[0] and effect.candidate.change(effect.x) < NOTICEABLE_CHANGE
+    if not (needless or slight):
+        return None
+    log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
+    return rest

@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.search_state import Search, Trial, WhitenedWindows
+from idapt_pl.diagnosis.candidate_fit import parameter_box
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
+from idapt_pl.diagnosis.whitening import WhitenedWindows
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.wording import format_number
-from idapt_pl.estimation.least_squares import HUBER
+from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, project_out
 
 DERIVATIVE_STEP = 0.05
 """How slightly: share of a candidate's scale."""
 
+LONGEST_LINEAR_STEP = 10.0
+"""Scales that the screen believes a linear prediction for."""
 
-def screen_candidates(search: Search, round: int) -> list[Trial]:
+
+def screen_candidates(context: SearchContext, state: SearchState, round: int) -> list[Trial]:
     """Score all candidates on few windows and the best again on more; best first."""
-    scout, known = ScoreTest(search, search.scout, search.sketch), {(c.label, c.names) for c in search.accepted}
-    tried = [scout.score(c, c.starts, round) for c in search.candidates if (c.label, c.names) not in known]
-    tried.sort(key=lambda t: -penalised_score(t))
-    best, rest = tried[: search.settings.screened], tried[search.settings.screened :]
-    screen = ScoreTest(search, search.screen, search.z)
+    scout = ScoreTest(context, state, state.windows.scout, context.coarsely_whitened)
+    known = {(c.label, c.names) for c in state.candidates}
+    trials = [scout.score(c, c.starts, round) for c in context.candidates if (c.label, c.names) not in known]
+    trials.sort(key=penalised_score, reverse=True)
+    best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
+    screen = ScoreTest(context, state, state.windows.screen, context.whitened)
     best = [screen.score(t.candidate, t.x, round) for t in best]
-    ratio = len(search.screen.windows) / len(search.scout.windows)
-    for t in rest:
-        t.score *= ratio
-    return sorted(best, key=lambda t: -penalised_score(t)) + rest
+    ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
+    rest = [replace(t, score=t.score * ratio) for t in rest]
+    return sorted(best, key=penalised_score, reverse=True) + rest
 
 
 def penalised_score(t: Trial) -> float:
@@ -37,25 +45,36 @@ def penalised_score(t: Trial) -> float:
 
 def shortlist(ranked: list[Trial], size: int) -> list[Trial]:
     """The best ``size``, and the best of every other kind that scores a tenth of it: scores are only linear."""
-    chosen = [t for t in ranked[:size] if not t.rejected_because]
+    chosen = [t for t in ranked[:size] if not t.rejection]
     kinds = {t.candidate.kind for t in chosen}
     for t in ranked[size:]:
-        if t.candidate.kind not in kinds and t.score > 0.1 * ranked[0].score and not t.rejected_because:
+        if t.candidate.kind not in kinds and t.score > 0.1 * ranked[0].score and not t.rejection:
             chosen.append(t)
             kinds.add(t.candidate.kind)
     return chosen
 
 
 class ScoreTest:
-    """Scores on one split: the Lagrange-multiplier test, after projecting out what is accepted."""
+    """Scores of candidates: the Lagrange-multiplier (Rao's score) test, after projecting out what is accepted.
+
+    Args:
+        context: of the search.
+        state: the current model.
+        split: windows to score on.
+        predict: whitened residuals of windows under some effects, (n, rows).
+    """
 
     def __init__(
-        self, search: Search, split: WhitenedWindows, predict: Callable[[WhitenedWindows, Effects], np.ndarray]
+        self,
+        context: SearchContext,
+        state: SearchState,
+        split: WhitenedWindows,
+        predict: Callable[[WhitenedWindows, Effects], np.ndarray],
     ) -> None:
-        self.search, self.predict = search, lambda e: predict(split, e)
-        z, self.base = search.z(split, search.effects), self.predict(search.effects)
-        self.root = np.sqrt(1.0 / np.maximum(1.0, np.abs(z.ravel()) / HUBER))[:, None]
-        accepted = [self.derivative(c, x, k) for k, (c, x) in enumerate(zip(search.accepted, search.x, strict=True))]
+        self.settings, self.state, self.predict = context.settings, state, lambda e: predict(split, e)
+        z, self.base = context.whitened(split, state.effects), self.predict(state.effects)
+        self.root = np.sqrt(huber_weights(z.ravel()))[:, None]
+        accepted = [self.derivative(a.candidate, a.x, k) for k, a in enumerate(state.accepted)]
         D = np.concatenate(accepted, 1) * self.root if accepted else np.zeros((z.size, 0))
         self.Q = np.linalg.qr(D)[0]
         self.left = self.clear(z.reshape(-1, 1))[:, 0]
@@ -63,15 +82,14 @@ class ScoreTest:
         self.variance = max(1.0, self.total / z.size)
 
     def clear(self, v: np.ndarray) -> np.ndarray:
-        """Weighted rows, orthogonal to what is accepted."""
-        v = v * self.root
-        return v - self.Q @ (self.Q.T @ v)
+        """Weighted rows (rows, k), orthogonal to what is accepted."""
+        return project_out(self.Q, v * self.root)
 
     def derivative(self, c: Candidate, x: np.ndarray, accepted: int | None = None) -> np.ndarray:
         """D z / d (x / scale) on top of the current model (of the accepted effect with that number), (rows, p)."""
-        effects, (_, high), columns = self.search.effects, c.bounds(), []
+        effects, (_, high), columns = self.state.effects, c.bounds(), []
         if accepted is not None:
-            own = len(self.search.fixed) + accepted
+            own = len(self.state.fixed) + accepted
             effects = effects[:own] + effects[own + 1 :]
         for k in range(c.size):
             moved, sign = np.array(x, float), 1.0 if x[k] + DERIVATIVE_STEP * c.scale[k] <= high[k] else -1.0
@@ -84,34 +102,51 @@ class ScoreTest:
         """The better of a linear step from nominal and of the given places to start a fit from."""
         nominal = np.array(c.nominal)
         D = self.clear(self.derivative(c, nominal))
-        x, gain = best_step(D, self.left, nominal, np.array(c.scale), *c.bounds())
+        x, gain = linear_step(D, self.left, nominal, parameter_box([c]))
         norm = np.linalg.norm(D, axis=0)
         for s in starts:
-            z = self.predict((*self.search.effects, c.effect(s)))
+            z = self.predict((*self.state.effects, c.effect(s)))
             secant = self.clear((z - self.base).reshape(-1, 1))[:, 0]
             size = float(secant @ secant)
             norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, nominal)) > 0) / 10)
             removed = self.total - float(np.square(self.left + secant).sum())
             if size > 1e-12 and removed > gain:
                 gain, x = removed, np.array(s, float)
-        return Trial(c, round, gain / self.variance, (x,), rejected_because=self.objection(c, gain, norm))
+        return Trial(c, round, gain / self.variance, (x,), rejection=self.objection(c, gain, norm))
 
-    def objection(self, c: Candidate, gain: float, norm: np.ndarray) -> str:
-        """Why a score is not worth a refit, or nothing. ``norm``: of what a change by the scale does, in sigma."""
-        z, score = self.search.settings.z, gain / self.variance
+    def objection(self, c: Candidate, gain: float, norm: np.ndarray) -> Rejection | None:
+        """Why a score is not worth a refit, if it is not.
+
+        Args:
+            c: the candidate.
+            gain: squared error that it removes.
+            norm: of what a change of each parameter by its scale does, in sigma, (p,).
+        """
+        z, score = self.settings.z, gain / self.variance
         if (10 * norm < z).all():
             k = int(np.argmax(norm))
             change = f"{format_number(z * c.scale[k] / norm[k])} {c.units()[k]}" if norm[k] > 1e-9 else "any size"
-            return f"not excited by these recordings: a change of its {c.names[k]} by {change} would go unseen"
-        return f"score {score:.1f} is what noise alone gives" if score < z**2 + 2 * c.size else ""
+            text = f"not excited by these recordings: a change of its {c.names[k]} by {change} would go unseen"
+            return Rejection(RejectionReason.NOT_EXCITED, text)
+        if score < z**2 + 2 * c.size:
+            return Rejection(RejectionReason.CHANCE, f"score {score:.1f} is what noise alone gives")
+        return None
 
 
-def best_step(
-    D: np.ndarray, left: np.ndarray, nominal: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The least-squares step of a linear candidate inside its bounds, and how much squared error it removes."""
+def linear_step(D: np.ndarray, left: np.ndarray, nominal: np.ndarray, box: ParameterBox) -> tuple[np.ndarray, float]:
+    """The least-squares step of a linear candidate, inside its bounds.
+
+    Args:
+        D: d z / d (x / scale), (rows, p).
+        left: whitened residuals, (rows,).
+        nominal: where the step begins, (p,).
+        box: scales and bounds.
+
+    Returns:
+        Where it leads, (p,), and how much squared error it removes.
+    """
     H = D.T @ D
     step = -np.linalg.lstsq(H + 1e-9 * np.trace(H) * np.eye(len(H)) + 1e-300, D.T @ left, rcond=None)[0]
-    x = np.clip(nominal + np.clip(step, -10, 10) * scale, low, high)
-    moved = D @ ((x - nominal) / scale)
+    x = box.step(nominal, step, LONGEST_LINEAR_STEP)
+    moved = D @ ((x - nominal) / box.scale)
     return x, float(np.square(left).sum() - np.square(left + moved).sum())

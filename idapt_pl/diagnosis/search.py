@@ -4,59 +4,71 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
-import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.acceptance import accept, confirm
-from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
-from idapt_pl.diagnosis.data import Recording, Windows, as_recordings
-from idapt_pl.diagnosis.model import name_elements
+from idapt_pl.diagnosis.context import Progress, SearchContext
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.revision import eliminate_needless, swap_for_rivals
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.search_state import Progress, Search, SearchSettings, Trial
+from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.diagnosis.simulator import Effects, Simulator
-from idapt_pl.diagnosis.verdict import build_report
-from idapt_pl.effects.candidate import Candidate
-from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
-from idapt_pl.estimation.intervals import covariance, unknown_variance
-
-DEFAULT_SETTINGS = SearchSettings()
+from idapt_pl.diagnosis.summary import summarise_search
+from idapt_pl.diagnosis.trial import RejectionReason, Trial
+from idapt_pl.effects.base import Effect
+from idapt_pl.estimation.stepwise import forward_selection
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The outcome; ``report`` is the content of ``report.json``."""
+    """The outcome, and what it was made with.
 
-    report: dict
+    Attributes:
+        result: what was found.
+        effects: of the repaired model: declared ones, numerics and those found.
+        declared: effects known beforehand.
+        sim: of the nominal model, with the recordings.
+        held_out: windows that it was judged on.
+        trials: everything tried, round by round.
+    """
+
+    result: DiagnosisResult
     effects: Effects
     declared: Effects
     sim: Simulator
     held_out: Windows
-    tried: list[Trial]
+    trials: tuple[Trial, ...]
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Verdict:
         """One of the four verdicts."""
-        return self.report["verdict"]
+        return self.result.verdict
+
+    @property
+    def report(self) -> dict:
+        """The content of ``report.json``."""
+        return self.result.to_dict()
 
 
 def diagnose(
     model: mujoco.MjSpec,
     trajectories: Trajectories,
-    declared: Sequence = (),
+    declared: Sequence[Effect] = (),
     fit: Sequence[int] | None = None,
     hold_out: Sequence[int] | None = None,
     candidates: Sequence[str] | None = None,
     seed: int = 0,
     settings: SearchSettings = DEFAULT_SETTINGS,
-    progress: Progress = lambda what, share: None,
+    progress: Progress = lambda what, done: None,
     threads: int | None = None,
     unmeasured: Sequence[str] = (),
     noise: Noise | None = None,
@@ -84,115 +96,59 @@ def diagnose(
         ValueError: an unknown candidate or episode.
     """
     started = time.perf_counter()
-    search = begin_search(
+    context, state = begin_search(
         model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured, noise
     )
-    tried = run_search(search)
+    state, trials = run_search(context, state)
     progress("judging", 0.95)
-    report = build_report(search, tried)
-    report["runtime_s"] = round(time.perf_counter() - started, 2)
+    result = summarise_search(context, state, trials)
+    result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
     progress("done", 1.0)
-    return Diagnosis(report, search.effects, search.declared, search.sim, search.held_out.windows, tried)
+    held_out = state.windows.held_out.windows
+    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials)
 
 
-def begin_search(
-    model: mujoco.MjSpec, trajectories: Trajectories, declared: Sequence = (), fit: Sequence[int] | None = None,
-    hold_out: Sequence[int] | None = None, candidates: Sequence[str] | None = None, seed: int = 0,
-    settings: SearchSettings = DEFAULT_SETTINGS, progress: Progress = lambda what, share: None, threads: int | None = None,
-    unmeasured: Sequence[str] = (), noise: Noise | None = None,
-) -> Search:  # fmt: skip
-    """A search that has not looked for anything yet. Arguments as for :func:`diagnose`."""
-    model = name_elements(model.copy())
-    data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
-    fit, hold_out = split_episodes(activity(data), fit, hold_out)
-    sim = Simulator(model, data, velocities, threads, unmeasured)
-
-    def considered(horizon: float) -> list[Candidate]:
-        return choose_candidates(all_candidates(model, typical_sizes(sim.model, data, horizon)), candidates)
-
-    return Search(sim, tuple(declared), fit, hold_out, considered, seed, settings, progress, noise)
+Progression = tuple[SearchState, tuple[Trial, ...]]
+"""Where a search stands, and everything that was tried."""
 
 
-def activity(data: list[Recording]) -> np.ndarray:
-    """How lively each episode is: rms of its velocities, in units of what is usual for each of them; (episodes,)."""
-    squares = np.stack([np.square(r.qvel).mean(0) for r in data])
-    return np.sqrt((squares / (squares.mean(0) + 1e-12)).mean(1))
-
-
-def split_episodes(
-    lively: np.ndarray, fit: Sequence[int] | None, hold_out: Sequence[int] | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Episodes to fit and to judge on.
-
-    By default every fourth in the order of their liveliness is held out, so that both parts have calm and lively ones,
-    whatever the order in which they were recorded.
-    """
-    n = len(lively)
-    for name, chosen in (("fit", fit), ("hold-out", hold_out)):
-        for e in chosen or ():
-            if not 0 <= e < n:
-                raise ValueError(f"--{name}: there is no episode {e}; the recording has 0 to {n - 1}")
-    if hold_out is None:
-        ranked = np.argsort(lively, kind="stable")
-        hold_out = np.sort(ranked[n // 2 % 4 :: 4]) if fit is None else np.setdiff1d(ranked, fit)
-    if fit is None:
-        fit = np.setdiff1d(np.arange(n), hold_out)
-    fit, hold_out = np.asarray(fit, int), np.asarray(hold_out, int)
-    if shared := np.intersect1d(fit, hold_out).tolist():
-        raise ValueError(f"episodes {shared} are both to be fitted and held out")
-    if not len(fit) or not len(hold_out):
-        raise ValueError(f"{n} episodes leave none to {'fit' if not len(fit) else 'hold out'}; at least two are needed")
-    return fit, hold_out
-
-
-def choose_candidates(found: list[Candidate], names: Sequence[str] | None) -> list[Candidate]:
-    """The candidates with these effect names (all for None)."""
-    if names is None:
-        return found
-    known = sorted({c.kind.name for c in found})
-    if unknown := sorted(set(names) - set(known)):
-        raise ValueError(f"unknown candidate {unknown[0]!r}; this model has: {', '.join(known)}")
-    return [c for c in found if c.kind.name in names]
-
-
-def run_search(search: Search) -> list[Trial]:
+def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
-    tried: list[Trial] = []
-    retest_numerics(search)
-    for k in range(search.settings.max_effects):
-        share = 0.1 + 0.8 * k / search.settings.max_effects
-        search.progress(f"round {k + 1}: screening", share)
-        ranked = screen_candidates(search, k)
-        search.progress(f"round {k + 1}: confirming", share + 0.06)
-        chosen = shortlist(ranked, search.settings.confirm)
-        for t in ranked:
-            if t not in chosen:
-                t.rejected_because = t.rejected_because or "its score in the screen is below those refitted"
-        tried += ranked
-        if accept(search, confirm(search, chosen)) is None:
-            break
-        search.renew()
-        search.settle()
-        retest_numerics(search)
-    swap_for_rivals(search)
-    eliminate_needless(search)
-    measure_intervals(search)
-    return tried
+
+    def add_effect(before: Progression, round: int) -> tuple[Progression, bool]:
+        state, trials = before
+        found, new = one_round(context, state, round)
+        trials = (*trials, *new)
+        if found is None:
+            return (state, trials), False
+        state = refit_accepted(context, renew(context, found))
+        return (retest_numerics(context, state), trials), True
+
+    state = retest_numerics(context, state)
+    state, trials = forward_selection((state, ()), add_effect, context.settings.max_effects)
+    state = swap_for_rivals(context, state)
+    state = eliminate_needless(context, state)
+    return measure_intervals(context, state), trials
 
 
-def measure_intervals(search: Search) -> None:
-    """Fit once more, without shortcuts, and put intervals on the estimates."""
-    if not search.found:
-        return
-    fit = search.refit(search.fit, search.accepted, search.x, 5)
-    search.x, episodes = fit.x, search.fit.windows.episode
-    V, clusters = covariance(fit, episodes), len(np.unique(episodes))
-    by_chance = student.ppf(0.975, max(clusters - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0))
-    width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown_variance(fit, search.systematic())))
-    scale = np.concatenate([c.scale for c in search.accepted])
-    sizes = np.cumsum([c.size for c in search.accepted])[:-1]
-    for f, half in zip(search.found, np.split(width * scale, sizes), strict=True):
-        if f.candidate.kind in (ActuatorDelay, ActuatorLag):  # when in a time step a command acts is convention
-            half = half + 0.5 * search.sim.compile(search.fixed).opt.timestep
-        low, high = f.candidate.bounds()
-        f.interval = np.stack([np.maximum(f.x - half, low), np.minimum(f.x + half, high)], 1)
+def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[SearchState | None, list[Trial]]:
+    """Screen, confirm, accept.
+
+    Returns:
+        The state with one effect more, not yet refitted (None where none is good enough), and what became of every
+        candidate, in the screen's order.
+    """
+    done = 0.1 + 0.8 * round / context.settings.max_effects
+    context.progress(f"round {round + 1}: screening", done)
+    ranked = screen_candidates(context, state, round)
+    context.progress(f"round {round + 1}: confirming", done + 0.06)
+    chosen = shortlist(ranked, context.settings.confirm)
+    found, decided = accept(state, confirm(context, state, chosen))
+    by_candidate = {t.candidate: t for t in decided}
+    return found, [by_candidate.get(t.candidate) or not_refitted(t) for t in ranked]
+
+
+def not_refitted(t: Trial) -> Trial:
+    """A trial that the screen ended, with the reason."""
+    text = "its score in the screen is below those refitted"
+    return t if t.rejection else t.rejected(RejectionReason.LOW_SCORE, text)

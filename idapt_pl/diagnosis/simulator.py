@@ -68,6 +68,7 @@ class Simulator:
         self.spec, self.data, self.velocities = spec, data, velocities
         self.model = spec.copy().compile()
         self.threads = threads or os.cpu_count() or 1
+        self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
         self.calls = 0
         self._commands: dict = {}

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect, elements, parameter
+from idapt_pl.effects.base import Effect, find_elements, parameter
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, with_shared
 from idapt_pl.effects.runtime import CommandEffect
+
+
+def dc_motors(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the ``dcmotor`` actuators."""
+    return [i for i in range(model.nu) if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR]
+
+
+def servos(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the actuators whose force depends on the position."""
+    motors = dc_motors(model)
+    return [i for i in range(model.nu) if i not in motors and model.actuator_biasprm[i, 1]]
 
 
 @dataclass(frozen=True)
@@ -20,14 +33,20 @@ class ActuatorGain(Effect):
     """
 
     name: ClassVar[str] = "actuator_gain"
+    phrase: ClassVar[str] = "gain of actuator"
     gain: float = parameter("1", 0.0, 1e3)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
                 actuator.gainprm[0] /= max(self.gain, 1e-6)
             else:
                 actuator.gainprm[0] *= self.gain
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names = [name for _, name in named_actuators(model)]
+        return with_shared([Candidate(cls, name, ("gain",), (1.0,), (0.3,), ((0.5,), (2.0,))) for name in names])
 
 
 @dataclass(frozen=True)
@@ -35,14 +54,20 @@ class MotorConstant(Effect):
     """Torque constant of a ``dcmotor`` relative to nominal; its back-EMF constant goes along."""
 
     name: ClassVar[str] = "motor_constant"
+    phrase: ClassVar[str] = "torque constant of motor"
     factor: float = parameter("1", 1e-3, 1e3)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
                 actuator.gainprm[1] *= self.factor
             elif self.target != "*":
                 raise ValueError(f"motor_constant: actuator {actuator.name!r} is not a dcmotor")
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names = [model.actuator(i).name for i in dc_motors(model)]
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -50,13 +75,20 @@ class ActuatorKp(Effect):
     """Stiffness of a servo relative to nominal: what it does with command and position alike."""
 
     name: ClassVar[str] = "actuator_kp"
+    phrase: ClassVar[str] = "stiffness of servo"
     factor: float = parameter("1", 0.0, 1e3)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             actuator.gainprm[0] *= self.factor
             actuator.biasprm[0] *= self.factor
             actuator.biasprm[1] *= self.factor
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names = [model.actuator(i).name for i in servos(model)]
+        starts = ((0.3,), (0.1,), (2.0,))
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), starts) for name in names])
 
 
 @dataclass(frozen=True)
@@ -64,13 +96,26 @@ class ActuatorKv(Effect):
     """Velocity feedback of a servo, or the back-EMF of a motor: force = -kv · velocity."""
 
     name: ClassVar[str] = "actuator_kv"
+    phrase: ClassVar[str] = "velocity feedback of actuator"
     kv: float = parameter("force·s/rad or force·s/m", 0.0, 1e6)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             actuator.biasprm[2] = -self.kv
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        singles, motors = [], dc_motors(model)
+        for i in range(model.nu):
+            # where a joint is driven, this is its damping by another name; but only feedback can be taken away
+            on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+            if i in motors or (on_joint and model.actuator_biasprm[i, 2] >= 0):
+                continue
+            kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
+            singles.append(Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), ((0.3 * kv,),)))
+        return with_shared(singles)
 
 
 UNLIMITED = 1e6
@@ -82,16 +127,24 @@ class ActuatorBias(CommandEffect):
     """A constant added to every command."""
 
     name: ClassVar[str] = "actuator_bias"
+    phrase: ClassVar[str] = "offset of the commands to actuator"
     bias: float = parameter("command", -1e6, 1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return values + self.bias
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             actuator.biasprm[0] += actuator.gainprm[0] * self.bias
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        half = 0.5 * typical.command
+        return with_shared(
+            [Candidate(cls, name, ("bias",), (0.0,), (float(half[i]),)) for i, name in named_actuators(model)]
+        )
 
 
 @dataclass(frozen=True)
@@ -99,11 +152,21 @@ class ActuatorDeadzone(CommandEffect):
     """Commands smaller than the width do nothing; larger ones lose it. MJCF has no words for it."""
 
     name: ClassVar[str] = "actuator_deadzone"
+    phrase: ClassVar[str] = "dead zone of actuator"
     in_mjcf: ClassVar[bool] = False
     width: float = parameter("command", 0.0, 1e6)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return np.sign(values) * np.maximum(np.abs(values) - self.width, 0.0)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        singles = []
+        for i, name in named_actuators(model):
+            usual = typical.command[i]
+            starts = ((0.2 * usual,), (0.6 * usual,))
+            singles.append(Candidate(cls, name, ("width",), (0.0,), (float(0.3 * usual),), starts))
+        return with_shared(singles)
 
 
 @dataclass(frozen=True)
@@ -115,6 +178,7 @@ class ActuatorRotation(CommandEffect):
     """
 
     name: ClassVar[str] = "actuator_rotation"
+    phrase: ClassVar[str] = "rotation of the commands to actuator"
     in_mjcf: ClassVar[bool] = False
     angle: float = parameter("rad", -np.pi, np.pi)
 
@@ -131,9 +195,16 @@ class ActuatorRotation(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for name in self.target.split() if self.target != "*" else ():
-            elements(spec, "actuators", name)
+            find_elements(spec, "actuators", name)
         if self.target != "*" and len(self.target.split()) != 2:
             raise ValueError(f"actuator_rotation: target must name two actuators, got {self.target!r}")
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """Of each actuator and the next one."""
+        names = [model.actuator(i).name for i in range(model.nu)]
+        pairs = [f"{one} {other}" for one, other in pairwise(names)]
+        return [Candidate(cls, pair, ("angle",), (0.0,), (0.3,), starts=((1.57,),)) for pair in pairs]
 
 
 @dataclass(frozen=True)
@@ -144,6 +215,7 @@ class ActuatorSaturation(CommandEffect):
     """
 
     name: ClassVar[str] = "actuator_saturation"
+    phrase: ClassVar[str] = "saturation of actuator"
     limit: float = parameter("command", 0.0, UNLIMITED, default=UNLIMITED)
     force: float = parameter("N·m or N", 1e-6, UNLIMITED, default=UNLIMITED)
 
@@ -155,11 +227,35 @@ class ActuatorSaturation(CommandEffect):
         return self.force < UNLIMITED
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             actuator.forcelimited, actuator.forcerange = True, (-self.force, self.force)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         if self.constrains:
             self.constrain(spec)
-        for actuator in elements(spec, "actuators", self.target) if self.limit < UNLIMITED else ():
+        for actuator in find_elements(spec, "actuators", self.target) if self.limit < UNLIMITED else ():
             actuator.ctrllimited, actuator.ctrlrange = True, (-self.limit, self.limit)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        limited = model.actuator_ctrllimited.astype(bool)
+        widest = np.abs(np.concatenate([[0.0], model.actuator_ctrlrange[limited].ravel()])).max()
+        widest = float(widest or 3 * typical.command.max(initial=1.0))
+        of_commands = []
+        for i, name in named_actuators(model):
+            usual = typical.command[i]
+            starts = tuple((f * usual,) for f in (0.5, 1.0, 1.4))
+            of_commands.append(Candidate(cls, name, ("limit",), (widest,), (float(0.5 * usual),), starts))
+        return with_shared(of_commands) + cls.of_forces(model, typical)
+
+    @classmethod
+    def of_forces(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """Limits of forces, for servos alone: a motor's force is its command, a servo's is not."""
+        found, names = [], dict(named_actuators(model))
+        for i in servos(model):
+            usual, limited = typical.force[i], model.actuator_forcelimited[i]
+            widest = float(model.actuator_forcerange[i, 1] if limited else 10 * usual)
+            starts = tuple((f * usual,) for f in (0.5, 1.0, 1.6))
+            if i in names:
+                found.append(Candidate(cls, names[i], ("force",), (widest,), (0.5 * usual,), starts))
+        return found

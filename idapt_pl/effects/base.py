@@ -15,12 +15,16 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 import numpy as np
 
+if TYPE_CHECKING:
+    from idapt_pl.effects.candidate import Candidate, TypicalSizes
+
 EFFECTS: dict[str, type[Effect]] = {}
+"""Every effect by its name. A class is entered when it is defined."""
 
 
 def parameter(unit: str, low: float, high: float, **default: Any) -> Any:
@@ -30,20 +34,31 @@ def parameter(unit: str, low: float, high: float, **default: Any) -> Any:
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """One edit of an ``mujoco.MjSpec``; subclasses are registered under ``name``.
+    """One edit of an ``mujoco.MjSpec``. A subclass with a ``name`` is registered in :data:`EFFECTS`.
 
     Attributes:
+        name: in YAML, JSON and ``--candidates``; classes that others build on have none.
+        phrase: what it is called in a sentence. The target follows, unless that is the world; for all elements the
+            last word becomes a plural.
+        searched: whether a diagnosis looks for it in recorded motion. The docstring of one that is not says why.
         target: MJCF name of the element edited, or ``"*"`` for all elements of that kind; of joints also
             ``"actuated"``.
     """
 
     name: ClassVar[str] = ""
+    phrase: ClassVar[str] = ""
+    searched: ClassVar[bool] = True
     target: str
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if cls.name:
-            EFFECTS[cls.name] = cls
+        name = vars(cls).get("name")
+        if not name:
+            return
+        known = EFFECTS.setdefault(name, cls)
+        if (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+            raise ValueError(f"{known.__qualname__} and {cls.__qualname__} are both called {name!r}: rename one")
+        EFFECTS[name] = cls
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
@@ -65,6 +80,16 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, spec: mujoco.MjSpec) -> None:
         """Edit ``spec`` in place. Raises ValueError if the target does not exist."""
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """The hypotheses that a diagnosis tries for this effect; none unless a class says otherwise.
+
+        Args:
+            model: the nominal one, without effects.
+            typical: sizes in the recordings, for scales.
+        """
+        return []
 
     def to_dict(self) -> dict[str, Any]:
         """The YAML/JSON form: ``{effect, target, parameters}`` (unset parameters left out)."""
@@ -91,13 +116,18 @@ def effect_from_dict(entry: Mapping[str, Any]) -> Effect:
         ) from None
 
 
-def elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
-    """The elements of one kind (``"joints"``, ``"geoms"``, ...) called ``target``, or all for ``"*"``."""
+def find_elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
+    """The elements of one kind (``"joints"``, ``"geoms"``, ...) called ``target``, or all for ``"*"``.
+
+    Raises:
+        ValueError: if there is none; it lists those that there are.
+    """
     everything: Iterable[Any] = getattr(spec, kind)
     found = [e for e in everything if target in ("*", e.name)]
     if not found:
         names = ", ".join(e.name or "<unnamed>" for e in everything)
-        raise ValueError(f"the model has no {kind[:-1]} named {target!r}; it has: {names or 'none'}")
+        singular = "body" if kind == "bodies" else kind[:-1]
+        raise ValueError(f"the model has no {singular} named {target!r}; it has: {names or 'none'}")
     return found
 
 
@@ -105,11 +135,15 @@ ACTUATED = "actuated"
 """The target of effects on all joints that an actuator acts on: motors and gears, not the joints of a free base."""
 
 
-def joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
-    """The joints called ``target``, all for ``"*"``, or those that actuators act on for ``"actuated"``."""
+def find_joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
+    """The joints called ``target``, all for ``"*"``, or those that actuators act on for ``"actuated"``.
+
+    Raises:
+        ValueError: if there is none; it lists the model's joints.
+    """
     names = [j.name for j in spec.joints]
     if target != ACTUATED or ACTUATED in names:
-        return elements(spec, "joints", target)
+        return find_elements(spec, "joints", target)
     on_joints = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
     found = [j for j in spec.joints if j.name in on_joints]
     if not found:

@@ -9,7 +9,17 @@ import mujoco
 import numpy as np
 from scipy.linalg import expm
 
-from idapt_pl.effects.base import Effect, elements, parameter
+from idapt_pl.effects.base import Effect, find_elements, parameter
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
+
+
+def heavy_bodies(model: mujoco.MjModel) -> list[tuple[str, float, float]]:
+    """Moving bodies with a mass: name, mass in kg, and how far a noticeable shift of the centre is, in m."""
+    found = []
+    for b, name in moved_bodies(model):
+        if (mass := float(model.body_mass[b])) > 0:
+            found.append((name, mass, 0.3 * float(np.sqrt(model.body_inertia[b].max() / mass)) + 1e-3))
+    return found
 
 
 @dataclass(frozen=True)
@@ -17,10 +27,11 @@ class BodyMass(Effect):
     """Mass of a body. Its inertia scales along: the shape and density profile stay the same."""
 
     name: ClassVar[str] = "body_mass"
+    phrase: ClassVar[str] = "mass of body"
     mass: float = parameter("kg", 1e-6, 1e6)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, "bodies", self.target)  # raises if there is none
+        find_elements(spec, "bodies", self.target)  # raises if there is none
         twin = spec.copy()
         model = twin.compile()
         masses = [float(model.body(b.id).mass[0]) for b in twin.bodies]
@@ -40,10 +51,17 @@ class BodyMass(Effect):
                 geom.density *= ratio
                 geom.mass *= ratio  # NaN (mass from density) stays NaN
 
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return [
+            Candidate(cls, name, ("mass",), (m,), (m,), tuple((m * f,) for f in (0.3, 2.0, 5.0, 15.0, 40.0)))
+            for name, m, _ in heavy_bodies(model)
+        ]
+
 
 def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:
     """Bodies with their mass, centre and inertia written out, as MuJoCo computes them from the geoms."""
-    bodies = elements(spec, "bodies", target)
+    bodies = find_elements(spec, "bodies", target)
     model = spec.copy().compile()
     for body in bodies:
         compiled = model.body(body.name) if body.name else model.body(body.id)
@@ -60,6 +78,7 @@ class BodyCom(Effect):
     """Centre of mass of a body, moved from where the model has it, in the body's frame."""
 
     name: ClassVar[str] = "body_com"
+    phrase: ClassVar[str] = "centre of mass of body"
     x: float = parameter("m", -1e2, 1e2, default=0.0)
     y: float = parameter("m", -1e2, 1e2, default=0.0)
     z: float = parameter("m", -1e2, 1e2, default=0.0)
@@ -67,6 +86,12 @@ class BodyCom(Effect):
     def apply(self, spec: mujoco.MjSpec) -> None:
         for body in explicit_inertial(spec, self.target):
             body.ipos = np.add(body.ipos, (self.x, self.y, self.z))
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return [
+            Candidate(cls, name, ("x", "y", "z"), (0.0,) * 3, (reach,) * 3) for name, _, reach in heavy_bodies(model)
+        ]
 
 
 @dataclass(frozen=True)
@@ -78,6 +103,7 @@ class BodyInertia(Effect):
     """
 
     name: ClassVar[str] = "body_inertia"
+    phrase: ClassVar[str] = "mass, centre and inertia of body"
     mass: float = parameter("1", 1e-3, 1e3, default=1.0)
     rotation: float = parameter("1", 1e-3, 1e3, default=1.0)
     x: float = parameter("m", -1e2, 1e2, default=0.0)
@@ -109,19 +135,38 @@ class BodyInertia(Effect):
         mujoco.mju_mulQuat(whole, np.asarray(body.iquat, float), turn)
         body.inertia, body.iquat = principal, whole
 
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names = ("mass", "rotation", "x", "y", "z", "xx", "yy", "xy", "xz", "yz")
+        nominal = (1.0, 1.0, *(0.0,) * 8)
+        return [
+            Candidate(cls, name, names, nominal, (0.5, 0.5, *(reach,) * 3, *(0.5,) * 5))
+            for name, _, reach in heavy_bodies(model)
+        ]
+
 
 @dataclass(frozen=True)
 class Payload(Effect):
     """A point mass fixed to a body, at a place in the body's frame."""
 
     name: ClassVar[str] = "payload"
+    phrase: ClassVar[str] = "a load on body"
     mass: float = parameter("kg", 0.0, 1e5)
     x: float = parameter("m", -1e2, 1e2, default=0.0)
     y: float = parameter("m", -1e2, 1e2, default=0.0)
     z: float = parameter("m", -1e2, 1e2, default=0.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for body in elements(spec, "bodies", self.target):
+        for body in find_elements(spec, "bodies", self.target):
             if self.mass:
                 load = body.add_body(pos=(self.x, self.y, self.z))
                 load.explicitinertial, load.mass, load.inertia = True, self.mass, [1e-9 * self.mass] * 3
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names, found = ("mass", "x", "y", "z"), []
+        for name, mass, reach in heavy_bodies(model):
+            scale, share = (mass, *(3 * reach,) * 3), 0.2 * mass
+            starts = ((share, 0.0, 0.0, 0.0), (share, 3 * reach, 0.0, 3 * reach))
+            found.append(Candidate(cls, name, names, (0.0,) * 4, scale, starts, strength=1))
+        return found

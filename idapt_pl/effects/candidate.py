@@ -1,4 +1,7 @@
-"""A candidate: an effect with free parameters, where a search starts and in which steps it goes."""
+"""A candidate: an effect with free parameters, where a search starts and in which steps it goes.
+
+The functions below it help an effect's ``candidates`` to go through the elements of a model.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect
+from idapt_pl.effects.base import ACTUATED, Effect
 
 
 @dataclass(frozen=True)
@@ -95,3 +99,69 @@ class TypicalSizes:
     command: np.ndarray
     force: np.ndarray
     horizon: float
+
+    @property
+    def torque(self) -> np.ndarray:
+        """What would stop each joint within a prediction, N·m or N, (nv,)."""
+        return self.inertia * self.speed / self.horizon
+
+
+def shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:
+    """One value for all of a kind: none for fewer than two, or where their nominal values differ."""
+    if len(singles) < 2 or len({c.nominal for c in singles}) > 1:
+        return []
+    scale = tuple(np.median([c.scale for c in singles], 0))
+    return [dataclasses.replace(singles[0], target=target, scale=scale)]
+
+
+def with_shared(singles: list[Candidate]) -> list[Candidate]:
+    """The candidates whose target has a name, and one value for all of them."""
+    return [c for c in singles if c.target] + shared(singles)
+
+
+def scalar_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
+    """Hinges and slides: number, degree of freedom, name."""
+    return [(j, int(model.jnt_dofadr[j]), model.joint(j).name) for j in range(model.njnt) if model.jnt_type[j] >= 2]
+
+
+def actuated_dofs(model: mujoco.MjModel) -> set[int]:
+    """Degrees of freedom of the joints that actuators act on."""
+    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return {int(v) for v in model.jnt_dofadr[model.actuator_trnid[on_joints, 0]]}
+
+
+def one_per_joint(
+    kind: type[Effect], parameter: str, model: mujoco.MjModel, nominal: np.ndarray, scale: np.ndarray,
+    further: Iterable[float] = (),
+) -> list[Candidate]:  # fmt: skip
+    """A candidate for each hinge and slide, and one value for all of them, or else for those with actuators.
+
+    The joints of a free base may be of another kind than those with motors and gears.
+
+    Args:
+        kind: the effect.
+        parameter: the free one.
+        model: the nominal one.
+        nominal: where the effect changes nothing, for each degree of freedom, (nv,).
+        scale: of a noticeable change, (nv,).
+        further: where fits start too, in scales from nominal.
+    """
+    singles, actuated = [], actuated_dofs(model)
+    for _, v, name in scalar_joints(model):
+        n, s = float(nominal[v]), float(scale[v])
+        singles.append((v, Candidate(kind, name, (parameter,), (n,), (s,), tuple((n + f * s,) for f in further))))
+    every = [c for _, c in singles]
+    return every + (shared(every) or shared([c for v, c in singles if v in actuated], ACTUATED))
+
+
+def named_actuators(model: mujoco.MjModel) -> list[tuple[int, str]]:
+    """Number and name of the actuators that have a name."""
+    return [(i, name) for i in range(model.nu) if (name := model.actuator(i).name)]
+
+
+def moved_bodies(model: mujoco.MjModel) -> list[tuple[int, str]]:
+    """Number and name of the bodies that have a name and that some joint moves."""
+    moved = [False] * model.nbody
+    for b in range(1, model.nbody):  # a parent comes before its children
+        moved[b] = bool(model.body_dofnum[b]) or moved[model.body_parentid[b]]
+    return [(b, name) for b in range(model.nbody) if moved[b] and (name := model.body(b).name)]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect, elements, joints, parameter
+from idapt_pl.effects.base import Effect, find_elements, find_joints, parameter
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, actuated_dofs, one_per_joint, scalar_joints, shared
 from idapt_pl.effects.runtime import ForceEffect
 
 
@@ -17,11 +19,17 @@ class JointEffect(Effect):
     """An effect that edits one joint at a time."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for joint in joints(spec, self.target):
+        for joint in find_joints(spec, self.target):
             self.edit(joint)
 
+    @abstractmethod
     def edit(self, joint: Any) -> None:
-        raise NotImplementedError
+        """Change one joint (``mujoco.MjsJoint``) in place."""
+
+
+def per_radian(spec: mujoco.MjSpec, joint: Any) -> float:
+    """What a model writes for 1 rad of a hinge (1 m of a slide): 180/π where its angles are in degrees, else 1."""
+    return 180 / np.pi if joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree else 1.0
 
 
 @dataclass(frozen=True)
@@ -29,10 +37,15 @@ class JointDamping(JointEffect):
     """Linear joint damping."""
 
     name: ClassVar[str] = "joint_damping"
+    phrase: ClassVar[str] = "viscous friction (damping) on joint"
     damping: float = parameter("N·m·s/rad or N·s/m", 0.0, 1e6)
 
     def edit(self, joint: Any) -> None:
         joint.damping[0] = self.damping  # [1:] are the polynomial terms
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return one_per_joint(cls, "damping", model, model.dof_damping, typical.inertia / typical.horizon)
 
 
 @dataclass(frozen=True)
@@ -40,10 +53,16 @@ class JointFrictionloss(JointEffect):
     """Dry friction of a joint (MuJoCo's soft constraint)."""
 
     name: ClassVar[str] = "joint_frictionloss"
+    phrase: ClassVar[str] = "dry friction on joint"
     frictionloss: float = parameter("N·m or N", 0.0, 1e6)
 
     def edit(self, joint: Any) -> None:
         joint.frictionloss = self.frictionloss
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        further = (0.3, 1.0, 3.0, 10.0, 30.0)  # what sticks shows little of a small change
+        return one_per_joint(cls, "frictionloss", model, model.dof_frictionloss, typical.torque, further)
 
 
 @dataclass(frozen=True)
@@ -51,10 +70,17 @@ class JointArmature(JointEffect):
     """Rotor inertia reflected to the joint."""
 
     name: ClassVar[str] = "joint_armature"
+    phrase: ClassVar[str] = "rotor inertia (armature) on joint"
     armature: float = parameter("kg·m² or kg", 0.0, 1e6)
 
     def edit(self, joint: Any) -> None:
         joint.armature = self.armature
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        # where first velocities are poorly known, a little more makes things worse before much more mends them
+        further = (0.3, 1.0, 3.0)
+        return one_per_joint(cls, "armature", model, model.dof_armature, typical.inertia, further)
 
 
 @dataclass(frozen=True)
@@ -62,21 +88,43 @@ class JointStiffness(JointEffect):
     """Linear spring of a joint, pulling to its ``springref``."""
 
     name: ClassVar[str] = "joint_stiffness"
+    phrase: ClassVar[str] = "a spring on joint"
     stiffness: float = parameter("N·m/rad or N/m", 0.0, 1e6)
 
     def edit(self, joint: Any) -> None:
         joint.stiffness[0] = self.stiffness
 
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        nominal, scale = model.jnt_stiffness, typical.inertia / typical.horizon**2
+        singles = [
+            Candidate(cls, name, ("stiffness",), (float(nominal[j]),), (scale[v],))
+            for j, v, name in scalar_joints(model)
+        ]
+        return singles + shared(singles)
+
 
 @dataclass(frozen=True)
-class JointSpringref(JointEffect):
+class JointSpringref(Effect):
     """Where a joint's spring is at rest."""
 
     name: ClassVar[str] = "joint_springref"
+    phrase: ClassVar[str] = "rest position of the spring on joint"
     springref: float = parameter("rad or m", -1e3, 1e3)
 
-    def edit(self, joint: Any) -> None:
-        joint.springref = self.springref
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for joint in find_joints(spec, self.target):
+            joint.springref = self.springref * per_radian(spec, joint)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """Where there is a spring."""
+        found = []
+        for j, v, name in scalar_joints(model):
+            if model.jnt_stiffness[j]:
+                rest = float(model.qpos_spring[model.jnt_qposadr[j]])
+                found.append(Candidate(cls, name, ("springref",), (rest,), (typical.motion[v],)))
+        return found
 
 
 @dataclass(frozen=True)
@@ -84,10 +132,16 @@ class JointDrag(JointEffect):
     """Quadratic drag of a joint, against its motion: torque = -drag |v| v (MuJoCo's polynomial damping)."""
 
     name: ClassVar[str] = "joint_drag"
+    phrase: ClassVar[str] = "quadratic drag on joint"
     drag: float = parameter("N·m·s²/rad² or N·s²/m²", 0.0, 1e6)
 
     def edit(self, joint: Any) -> None:
         joint.damping[1] = self.drag
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        scale = typical.inertia / typical.horizon / typical.speed
+        return one_per_joint(cls, "drag", model, np.zeros(model.nv), scale)
 
 
 PLAY_SUFFIX = " play"
@@ -103,10 +157,11 @@ class JointBacklash(Effect):
     """
 
     name: ClassVar[str] = "joint_backlash"
+    phrase: ClassVar[str] = "backlash in joint"
     width: float = parameter("rad or m", 0.0, 10.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for joint in elements(spec, "joints", self.target):
+        for joint in find_elements(spec, "joints", self.target):
             if self.width and joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                 self.loosen(spec, joint)
 
@@ -116,12 +171,21 @@ class JointBacklash(Effect):
         felt = float(spec.copy().compile().joint(joint.name).M0[0])
         joint.armature = max(joint.armature, 0.01 * felt)
         play = joint.parent.add_joint(name=joint.name + PLAY_SUFFIX, type=joint.type, axis=joint.axis, pos=joint.pos)
-        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-        half = self.width / 2 * (180 / np.pi if turns and spec.compiler.degree else 1.0)
+        half = self.width / 2 * per_radian(spec, joint)
         play.limited, play.range = True, (-half, half)
         play.armature = play.frictionloss = play.margin = play.ref = play.springref = 0.0
         play.stiffness[:] = play.damping[:] = 0.0
         play.solref_limit = (2 * spec.option.timestep, 1.0)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """Where an actuator drives the joint."""
+        driven, found = actuated_dofs(model), []
+        for _, v, name in scalar_joints(model):
+            if v in driven:
+                starts = tuple((f * typical.motion[v],) for f in (0.03, 0.15))
+                found.append(Candidate(cls, name, ("width",), (0.0,), (0.1 * typical.motion[v],), starts))
+        return found
 
 
 @dataclass(frozen=True)
@@ -133,6 +197,7 @@ class JointStribeck(ForceEffect):
     """
 
     name: ClassVar[str] = "joint_stribeck"
+    phrase: ClassVar[str] = "friction that falls with speed (Stribeck) on joint"
     coulomb: float = parameter("N·m or N", 0.0, 1e6)
     static: float = parameter("N·m or N", 0.0, 1e6)
     speed: float = parameter("rad/s or m/s", 1e-4, 1e3, default=0.1)
@@ -142,12 +207,39 @@ class JointStribeck(ForceEffect):
         return True
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
-        for joint in elements(spec, "joints", self.target):
+        for joint in find_elements(spec, "joints", self.target):
             joint.frictionloss += max(self.static, self.coulomb)
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         falls_by = max(self.static - self.coulomb, 0.0)
         return falls_by * -np.expm1(-np.square(qvel / self.speed)) * np.sign(qvel)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return [cls.candidate_on(name, v, typical) for _, v, name in scalar_joints(model)]
+
+    @classmethod
+    def candidate_on(cls, joint: str, v: int, typical: TypicalSizes) -> Candidate:
+        """The candidate on the joint with degree of freedom ``v``."""
+        usual, torque = typical.speed[v], typical.torque[v]
+        levels = ((0.1, 0.2), (0.3, 1.0))
+        return Candidate(
+            cls,
+            joint,
+            ("coulomb", "static", "speed"),
+            (0.0, 0.0, usual / 4),
+            (torque, torque, usual / 4),
+            starts=tuple((c * torque, s * torque, f * usual) for c, s in levels for f in (0.05, 0.3)),
+            span=((0.0, 1e6), (0.0, 1e6), (usual / 50, 10 * usual)),  # slower is plain dry friction
+            strength=2,
+        )
+
+
+COGGING_PERIODS = (2, 4, 6, 8, 12)
+"""Of the cogging torques that a diagnosis tries, in a revolution."""
+
+COGGING_REPEATS = 1.5
+"""How many periods of a cogging torque the recordings must show: less than that is any torque that bends with angle."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +247,24 @@ class JointCogging(ForceEffect):
     """A torque that repeats with the joint's angle: sine·sin(n q) + cosine·cos(n q)."""
 
     name: ClassVar[str] = "joint_cogging"
+    phrase: ClassVar[str] = "cogging in joint"
     sine: float = parameter("N·m", -1e4, 1e4)
     cosine: float = parameter("N·m", -1e4, 1e4, default=0.0)
     periods: float = parameter("1/rev", 1.0, 1e3, default=6.0)
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         return self.sine * np.sin(self.periods * qpos) + self.cosine * np.cos(self.periods * qpos)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """On hinges that turned through enough periods, with each number of periods that is likely."""
+        found = []
+        for j, v, name in scalar_joints(model):
+            if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
+                continue
+            scale = (typical.torque[v],) * 2
+            for n in COGGING_PERIODS:
+                if typical.range[v] * n / (2 * np.pi) > COGGING_REPEATS:
+                    fixed = (("periods", float(n)),)
+                    found.append(Candidate(cls, name, ("sine", "cosine"), (0.0, 0.0), scale, fixed=fixed))
+        return found

@@ -13,7 +13,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect, elements
+from idapt_pl.effects.base import Effect, find_elements
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class CommandEffect(RuntimeEffect):
         raise NotImplementedError
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, "actuators", self.target)  # no MJCF for it; the target must exist all the same
+        find_elements(spec, "actuators", self.target)  # no MJCF for it; the target must exist all the same
 
 
 def replace_columns(command: Command, columns: list[int], edges: np.ndarray, values: np.ndarray) -> Command:
@@ -83,16 +83,20 @@ def delay_columns(command: Command, columns: list[int], by: float) -> Command:
 
 @dataclass(frozen=True)
 class ForceEffect(RuntimeEffect):
-    """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``."""
+    """A force law that MJCF has no words for; target: a joint, a body, or ``"*"``.
+
+    Attributes:
+        acts_on: what the target is, ``"joints"`` or ``"bodies"``.
+    """
+
+    acts_on: ClassVar[str] = "joints"
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, self.kind, self.target)
-
-    kind: ClassVar[str] = "joints"
+        find_elements(spec, self.acts_on, self.target)
 
     @abstractmethod
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Torques on the joints meant, from their (n, joints) positions and velocities."""
+        """Torques on the joints meant, (n, joints), from their positions and velocities; or a body's force, (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +104,7 @@ class SensingEffect(RuntimeEffect):
     """Something between a joint's motion and its measurement; target: a joint, or ``"*"``."""
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        elements(spec, "joints", self.target)
+        find_elements(spec, "joints", self.target)
 
     @abstractmethod
     def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

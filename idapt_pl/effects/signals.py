@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
-from idapt_pl.effects.base import elements, parameter
+from idapt_pl.effects.base import find_elements, parameter
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, scalar_joints, with_shared
 from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
 
 
@@ -18,15 +19,22 @@ class ActuatorDelay(CommandEffect):
     """A pure delay of the command. What held before a recording began is taken to be its first command."""
 
     name: ClassVar[str] = "actuator_delay"
+    phrase: ClassVar[str] = "delay of actuator"
     delay: float = parameter("s", 0.0, 10.0)
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
         return delay_columns(command, columns, self.delay)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
             actuator.delay = self.delay
             actuator.nsample = int(np.ceil(self.delay / spec.option.timestep)) + 1
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        dt, starts = typical.dt, tuple((f * typical.dt,) for f in (0.5, 1.0, 2.0, 4.0))
+        singles = [Candidate(cls, name, ("delay",), (0.0,), (dt,), starts) for _, name in named_actuators(model)]
+        return with_shared(singles)
 
 
 @dataclass(frozen=True)
@@ -34,10 +42,12 @@ class SensorDelay(CommandEffect):
     """All measurements are late by the same time. Target is ``"*"``.
 
     Once an episode is under way, this and a delay of all commands are one and the same: the measured motion answers
-    commands later by the delay. So it is simulated as the latter.
+    commands later by the delay. So it is simulated as the latter, and a diagnosis that finds the latter names both.
     """
 
     name: ClassVar[str] = "sensor_delay"
+    phrase: ClassVar[str] = "delay of the sensors of joint"
+    searched: ClassVar[bool] = False
     delay: float = parameter("s", 0.0, 10.0)
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
@@ -54,10 +64,12 @@ class ActuatorLag(CommandEffect):
     """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
 
     A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
-    from the filter's state before, in the middle of or after it.
+    from the filter's state before, in the middle of or after it. A ``dcmotor`` has dynamics of its own, so MJCF has no
+    words for a lag in front of one: ``apply`` leaves it as it is.
     """
 
     name: ClassVar[str] = "actuator_lag"
+    phrase: ClassVar[str] = "first-order lag of actuator"
     time_constant: float = parameter("s", 0.0, 10.0)
     dead_time: float = parameter("s", -1.0, 10.0, default=0.0)
 
@@ -77,11 +89,25 @@ class ActuatorLag(CommandEffect):
         return replace_columns(command, columns, np.append(edges, command.edges[-1]), filtered)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for actuator in elements(spec, "actuators", self.target):
+        for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR:
+                continue
             actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
             actuator.dynprm[0] = self.time_constant
             if self.dead_time >= spec.option.timestep:
                 ActuatorDelay(actuator.name, self.dead_time).apply(spec)
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        h, dt = float(model.opt.timestep), typical.dt
+        starts = tuple((f * dt, 0.0) for f in (0.3, 1.0, 3.0))
+        span = ((0.0, 10.0), (-h, h))  # beyond a time step it is a delay of its own
+        names = ("time_constant", "dead_time")
+        singles = [
+            Candidate(cls, name, names, (0.0, 0.0), (dt, h), starts, span=span, strength=1)
+            for _, name in named_actuators(model)
+        ]
+        return with_shared(singles)
 
 
 @dataclass(frozen=True)
@@ -89,6 +115,7 @@ class SensorBias(SensingEffect):
     """A constant added to a joint's measured position."""
 
     name: ClassVar[str] = "sensor_bias"
+    phrase: ClassVar[str] = "offset of the position sensor of joint"
     bias: float = parameter("rad or m", -1e3, 1e3)
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,12 +124,21 @@ class SensorBias(SensingEffect):
     def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return qpos - self.bias, qvel
 
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return [Candidate(cls, name, ("bias",), (0.0,), (typical.motion[v],)) for _, v, name in scalar_joints(model)]
+
+
+SENSOR_GAIN = ((0.8, 1.25),)
+"""Where a diagnosis looks: position sensors are off by per cents; a larger scale imitates inertia and gravity."""
+
 
 @dataclass(frozen=True)
 class SensorGain(SensingEffect):
     """A factor on a joint's measured position and velocity."""
 
     name: ClassVar[str] = "sensor_gain"
+    phrase: ClassVar[str] = "scale of the sensors of joint"
     gain: float = parameter("1", 1e-3, 1e3)
 
     def measure(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,3 +146,9 @@ class SensorGain(SensingEffect):
 
     def invert(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return qpos / self.gain, qvel / self.gain
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        return [
+            Candidate(cls, name, ("gain",), (1.0,), (0.2,), span=SENSOR_GAIN) for _, _, name in scalar_joints(model)
+        ]

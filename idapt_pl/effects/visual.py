@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from idapt_pl.effects.base import Effect, elements, parameter
+from idapt_pl.effects.base import Effect, find_elements, parameter
 from idapt_pl.effects.packaged import packaged_file
 
 CAMERA = "view"
@@ -31,19 +31,27 @@ def orbit_axes(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray
 
 
 @dataclass(frozen=True)
-class CameraPose(Effect):
+class VisualEffect(Effect):
+    """An effect on images alone. A diagnosis of motion cannot see it: :mod:`idapt_pl.appearance` looks for it."""
+
+    searched: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class CameraPose(VisualEffect):
     """Where the camera stands: an orbit around ``lookat`` as in MuJoCo's viewer."""
 
     name: ClassVar[str] = "camera_pose"
+    phrase: ClassVar[str] = "viewpoint of camera"
     azimuth: float = parameter("deg", -360.0, 360.0)
     elevation: float = parameter("deg", -90.0, 90.0)
     distance: float = parameter("m", 1e-3, 1e3)
     lookat: tuple[float, float, float] = parameter("m", -1e3, 1e3)
-    fovy: float = 45.0
+    fovy: float = parameter("deg", 0.0, 180.0, default=45.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         forward, xyaxes = orbit_axes(self.azimuth, self.elevation)
-        for camera in elements(spec, "cameras", self.target):
+        for camera in find_elements(spec, "cameras", self.target):
             camera.pos = np.asarray(self.lookat) - self.distance * forward
             camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
             camera.alt.xyaxes = xyaxes
@@ -51,19 +59,20 @@ class CameraPose(Effect):
 
 
 @dataclass(frozen=True)
-class CameraFrame(Effect):
+class CameraFrame(VisualEffect):
     """Where the camera stands, in its body's frame: a position, and MJCF's ``xyaxes`` (right and up) or ``quat``."""
 
     name: ClassVar[str] = "camera_frame"
+    phrase: ClassVar[str] = "position and direction of camera"
     position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
     xyaxes: tuple[float, float, float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
     quat: tuple[float, float, float, float] | None = parameter("1", -1e3, 1e3, default=None)
-    fovy: float = 45.0
+    fovy: float = parameter("deg", 0.0, 180.0, default=45.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         if (self.xyaxes is None) == (self.quat is None):
             raise ValueError(f"camera_frame on {self.target!r}: give either xyaxes or quat")
-        for camera in elements(spec, "cameras", self.target):
+        for camera in find_elements(spec, "cameras", self.target):
             camera.pos, camera.fovy = self.position, self.fovy
             if self.quat is not None:
                 camera.alt.type, camera.quat = mujoco.mjtOrientation.mjORIENTATION_QUAT, self.quat
@@ -72,7 +81,7 @@ class CameraFrame(Effect):
 
 
 @dataclass(frozen=True)
-class Light(Effect):
+class Light(VisualEffect):
     """Light colours. Target ``"headlight"`` is the light at the camera; any other name is a lamp.
 
     A lamp that the model lacks is added, at ``position``, shining straight down or in ``direction``. ``kind`` is
@@ -80,11 +89,12 @@ class Light(Effect):
     """
 
     name: ClassVar[str] = "light"
+    phrase: ClassVar[str] = "colour of light"
     diffuse: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     ambient: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     specular: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
-    position: tuple[float, float, float] | None = None
-    direction: tuple[float, float, float] | None = None
+    position: tuple[float, float, float] | None = parameter("m", -1e6, 1e6, default=None)
+    direction: tuple[float, float, float] | None = parameter("1", -1e6, 1e6, default=None)
     kind: str | None = None
 
     def apply(self, spec: mujoco.MjSpec) -> None:
@@ -108,23 +118,25 @@ class Light(Effect):
 
 
 @dataclass(frozen=True)
-class Color(Effect):
+class Color(VisualEffect):
     """Colour of a geom."""
 
     name: ClassVar[str] = "color"
+    phrase: ClassVar[str] = "colour of geom"
     rgba: tuple[float, float, float, float] = parameter("1", 0.0, 1.0)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        for geom in elements(spec, "geoms", self.target):
+        for geom in find_elements(spec, "geoms", self.target):
             geom.material = ""
             geom.rgba = self.rgba
 
 
 @dataclass(frozen=True)
-class Material(Effect):
+class Material(VisualEffect):
     """What a geom is painted with: a material of dm_control's suite, or a picture that metaworld ships."""
 
     name: ClassVar[str] = "material"
+    phrase: ClassVar[str] = "material of geom"
     dm_control: str | None = None  # in dm_control/suite/common/materials.xml, for example grid
     picture: str | None = None  # in metaworld/assets/textures, for example wood2.png
     repeat: tuple[float, float] = parameter("1", 0.0, 1e4, default=(1.0, 1.0))  # of a picture
@@ -135,7 +147,7 @@ class Material(Effect):
         name = self.dm_control or self.picture
         if spec.material(name) is None:
             copy_material(dm_control_assets("materials.xml"), spec, name) if self.dm_control else self._add(spec, name)
-        for geom in elements(spec, "geoms", self.target):
+        for geom in find_elements(spec, "geoms", self.target):
             geom.material = name
             geom.rgba = (0.5, 0.5, 0.5, 1)  # MJCF's default: the material's own colour counts
 
@@ -172,10 +184,11 @@ def copy_material(source: mujoco.MjSpec, spec: mujoco.MjSpec, name: str) -> None
 
 
 @dataclass(frozen=True)
-class Texture(Effect):
+class Texture(VisualEffect):
     """What is painted on the sky: one colour, or a fading one, or a dm_control skybox. Target is ``"sky"``."""
 
     name: ClassVar[str] = "texture"
+    phrase: ClassVar[str] = "texture of the"
     flat: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     fade_to: tuple[float, float, float] | None = parameter("1", 0.0, 1.0, default=None)
     dm_control: str | None = None  # file in dm_control/suite/common, for example skybox.xml
@@ -195,13 +208,14 @@ class Texture(Effect):
 
 
 @dataclass(frozen=True)
-class Scenery(Effect):
+class Scenery(VisualEffect):
     """A furnished room around the robot. It is seen and touches nothing. Target is ``"world"``.
 
     The room is an MJCF file in ``idapt_pl/effects/scenery``; its pictures are metaworld's.
     """
 
     name: ClassVar[str] = "scenery"
+    phrase: ClassVar[str] = "scenery around the robot"
     room: str = "interior"
     position: tuple[float, float, float] = parameter("m", -1e3, 1e3, default=(0.0, 0.0, 0.0))
 
@@ -218,10 +232,11 @@ ENGINE = "renderer"
 
 
 @dataclass(frozen=True)
-class Renderer(Effect):
+class Renderer(VisualEffect):
     """What draws the images: ``filament``, or MuJoCo's ``classic`` renderer, the default. Target is ``"world"``."""
 
     name: ClassVar[str] = "renderer"
+    phrase: ClassVar[str] = "renderer of the images"
     engine: str = "classic"
 
     def apply(self, spec: mujoco.MjSpec) -> None:
@@ -235,10 +250,11 @@ BLUR = "blur"
 
 
 @dataclass(frozen=True)
-class Blur(Effect):
+class Blur(VisualEffect):
     """How much images are blurred: a Gaussian, its spread as a share of the image's side. Target is ``"world"``."""
 
     name: ClassVar[str] = "blur"
+    phrase: ClassVar[str] = "blur of the images"
     sigma: float = parameter("1", 0.0, 0.5)
 
     def apply(self, spec: mujoco.MjSpec) -> None:

@@ -7,48 +7,12 @@ from collections.abc import Iterable
 
 import mujoco
 
-from idapt_pl.effects.base import ACTUATED
-
-MEANINGS = {
-    "body_mass": "mass of body",
-    "body_inertia": "mass, centre and inertia of body",
-    "body_com": "centre of mass of body",
-    "payload": "a load on body",
-    "joint_damping": "viscous friction (damping) on joint",
-    "joint_frictionloss": "dry friction on joint",
-    "joint_stribeck": "friction that falls with speed (Stribeck) on joint",
-    "joint_armature": "rotor inertia (armature) on joint",
-    "joint_stiffness": "a spring on joint",
-    "joint_springref": "rest position of the spring on joint",
-    "joint_backlash": "backlash in joint",
-    "joint_cogging": "cogging in joint",
-    "joint_drag": "quadratic drag on joint",
-    "actuator_gain": "gain of actuator",
-    "actuator_bias": "offset of the commands to actuator",
-    "actuator_delay": "delay of actuator",
-    "actuator_lag": "first-order lag of actuator",
-    "actuator_deadzone": "dead zone of actuator",
-    "actuator_saturation": "saturation of actuator",
-    "actuator_rotation": "rotation of the commands to actuator",
-    "actuator_kp": "stiffness of servo",
-    "actuator_kv": "velocity feedback of actuator",
-    "motor_constant": "torque constant of motor",
-    "contact_friction": "contact friction of geom",
-    "contact_softness": "contact softness of geom",
-    "fluid_drag": "drag of the surrounding medium",
-    "gravity_direction": "direction of gravity",
-    "external_force": "a constant force on body",
-    "sensor_bias": "offset of the position sensor of joint",
-    "sensor_gain": "scale of the sensors of joint",
-    "sensor_delay": "delay of the sensors of joint",
-    "numerics": "time step and integrator of the simulation",
-}
-"""What each effect is called in a sentence; its target follows, unless that is the world."""
+from idapt_pl.effects.base import ACTUATED, EFFECTS
 
 
 def phrase_at(effect: str, target: str) -> str:
     """``joint_frictionloss``, ``slider`` as "dry friction on joint slider"."""
-    words = MEANINGS.get(effect, effect.replace("_", " ") + " of")
+    words = EFFECTS[effect].phrase if effect in EFFECTS else f"{effect.replace('_', ' ')} of"
     if target == "world":
         return words.removesuffix(" of")
     if target not in ("*", ACTUATED):

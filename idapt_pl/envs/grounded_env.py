@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 import gymnasium
+import numpy as np
 
 Translate = Callable[[np.ndarray], np.ndarray]
 """G: uint8 (n, k, H, W, 3) source frames to uint8 target-style frames of the same shape."""

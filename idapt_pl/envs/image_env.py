@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import gymnasium
 import mujoco
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-import gymnasium
-from gymnasium.vector import AutoresetMode
 from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.rendering.parallel import ParallelRenderer
 from idapt_pl.tasks import Task

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.vector.utils import batch_space
 
-import gymnasium
 from idapt_pl.effects import Domain
 from idapt_pl.envs.image_env import VectorImageEnv
 from idapt_pl.tasks import Task

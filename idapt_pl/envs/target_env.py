@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 
-import gymnasium
 from idapt_pl.envs.ledger import Ledger
 
 

@@ -6,22 +6,33 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from idapt_pl.estimation.least_squares import LeastSquaresFit, influence
+from idapt_pl.estimation.least_squares import LeastSquaresFit, huber_weights
+
+
+def influence(fit: LeastSquaresFit) -> tuple[np.ndarray, np.ndarray]:
+    """How x / scale moves with residuals, but for the sign: (JᵀWJ)⁻¹, (p, p), and W J, (n rows, p)."""
+    weighted = huber_weights(fit.z.ravel())[:, None] * fit.J
+    return np.linalg.pinv(fit.J.T @ weighted), weighted
 
 
 def unknown_variance(fit: LeastSquaresFit, changes: Sequence[np.ndarray]) -> np.ndarray:
-    """Variance of x / scale, (p,), by things that are not known and not fitted (Schmidt's consider parameters).
+    """Variance of x / scale, (p,), by things that are not known and not fitted (Schmidt's consider parameters, 1966).
 
     Args:
         fit: made as if they were as assumed.
-        changes: of the whitened residuals, (n, rows) each, by a standard deviation of each.
+        changes: of the residuals, (n, rows) each, by a standard deviation of each.
     """
     bread, weighted = influence(fit)
     return sum((np.square(bread @ (weighted.T @ c.ravel())) for c in changes), np.zeros(len(bread)))
 
 
 def covariance(fit: LeastSquaresFit, clusters: np.ndarray) -> np.ndarray:
-    """Sandwich covariance of x / scale, clustered (episodes): robust to what the noise model gets wrong."""
+    """Sandwich covariance of x / scale, (p, p): robust to what the noise model gets wrong (Liang & Zeger 1986).
+
+    Args:
+        fit: made under independent noise of unit variance.
+        clusters: of each window, (n,), within which noise may be dependent (its episode).
+    """
     rows = fit.z.shape[1]
     bread, weighted = influence(fit)
     scores = (weighted * fit.z.ravel()[:, None]).reshape(len(fit.z), rows, -1).sum(1)
@@ -36,6 +47,11 @@ def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> 
 
     Windows do not overlap, so their noise is independent. That some episodes show an effect more than others is
     no reason to doubt it; if it helps in fewer than half of them, the error returned is infinite.
+
+    Args:
+        before: loss of each window, (n,).
+        after: the same, with the change, (n,).
+        clusters: episode of each window, (n,).
     """
     gain = before - after
     helped = np.mean([gain[clusters == c].mean() > 0 for c in np.unique(clusters)])

@@ -1,138 +1,179 @@
-"""Robust least squares: Huber's loss and Gauss-Newton inside bounds."""
+"""Robust least squares: Huber's loss and weights, weighted normal equations, Gauss-Newton inside bounds.
+
+Works on plain arrays and a function from parameters to residuals; knows nothing of models or effects.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.effects.candidate import Candidate
+Residual = Callable[[np.ndarray], np.ndarray]
+"""Parameters (p,) to residuals (n, rows), in units of their noise."""
 
-Predict = Callable[[Effects], np.ndarray]
-"""Whitened residuals under some effects, (n, rows)."""
+HUBER = 4.0
+"""Residuals beyond this many sigma count linearly: a few contacts must not decide."""
 
 FAR_OFF = 2.0
 """Loss above which a step that helped is tried at twice its length."""
 
-HUBER = 4.0
-"""Whitened residuals beyond this many sigma count linearly: a few contacts must not decide."""
+LONGEST_STEP = 20.0
+"""Scales that one step changes a parameter by at most."""
 
 
 def huber(z: np.ndarray) -> np.ndarray:
-    """z² up to HUBER, then linear."""
+    """z² up to HUBER, then linear (twice Huber's loss, 1964)."""
     a = np.abs(z)
     return np.where(a <= HUBER, np.square(z), 2 * HUBER * a - HUBER**2)
 
 
 def robust_loss(z: np.ndarray) -> np.ndarray:
-    """Mean robust loss of each window, 1 where the model is right and the noise as assumed; (n,)."""
+    """Mean robust loss of each window, 1 where the model is right and the noise as assumed: (n, rows) to (n,)."""
     return huber(z).mean(1)
+
+
+def huber_weights(z: np.ndarray, threshold: float = HUBER) -> np.ndarray:
+    """Weights with which least squares minimises Huber's loss: 1 up to ``threshold``, beyond it as 1/|z|."""
+    return 1.0 / np.maximum(1.0, np.abs(z) / threshold)
+
+
+def normal_equations(J: np.ndarray, z: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Jᵀ W J, (p, p), and Jᵀ W z, (p,), from J (rows, p), z (rows,) and the diagonal of W (rows,)."""
+    return J.T @ (weights[:, None] * J), J.T @ (weights * z)
+
+
+def project_out(basis: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The part of v (..., rows, k) that is orthogonal to a basis (..., rows, q) with orthonormal columns.
+
+    What nuisance parameters could explain is taken away before the others are fitted (variable projection, Golub &
+    Pereyra 1973).
+    """
+    return v - basis @ (np.swapaxes(basis, -1, -2) @ v)
+
+
+@dataclass(frozen=True)
+class ParameterBox:
+    """What parameters can be.
+
+    Attributes:
+        scale: what a noticeable change of each is about, (p,); steps are in units of it.
+        low: lower bounds, (p,).
+        high: upper bounds, (p,).
+    """
+
+    scale: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def clip(self, x: np.ndarray) -> np.ndarray:
+        """Parameters inside the bounds."""
+        return np.clip(x, self.low, self.high)
+
+    def step(self, x: np.ndarray, move: np.ndarray, longest: float) -> np.ndarray:
+        """Where a step in units of the scales leads, no longer than ``longest`` of them and inside the bounds."""
+        return self.clip(x + np.clip(move, -longest, longest) * self.scale)
 
 
 @dataclass(frozen=True)
 class LeastSquaresFit:
-    """A fit of some candidates.
+    """Outcome of a fit.
 
     Attributes:
-        x: their parameters, one array for each candidate.
-        loss: mean robust loss on the windows fitted.
-        J: d whitened residual / d (x / scale) where the last step began, (rows, p).
-        z: whitened residuals, (n, rows a window).
+        x: parameters, (p,).
+        loss: mean robust loss.
+        J: d residual / d (x / scale) where the last step began, (n rows, p).
+        z: residuals at x, (n, rows).
     """
 
-    x: tuple[np.ndarray, ...]
+    x: np.ndarray
     loss: float
     J: np.ndarray
     z: np.ndarray
 
 
-def effects_of(candidates: Sequence[Candidate], x: Sequence[np.ndarray]) -> Effects:
-    """The effects with these parameters."""
-    return tuple(c.effect(v) for c, v in zip(candidates, x, strict=True))
+@dataclass(frozen=True)
+class _Point:
+    """Parameters, with the residuals and the loss there."""
+
+    x: np.ndarray
+    z: np.ndarray
+    loss: float
+
+    @classmethod
+    def at(cls, residual: Residual, x: np.ndarray) -> _Point:
+        z = residual(x)
+        return cls(x, z, float(robust_loss(z).mean()))
 
 
-def jacobian(
-    z: Predict, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], base: np.ndarray,
-    step: float = 0.02,
-) -> np.ndarray:  # fmt: skip
-    """D z / d (x / scale), (n rows, p), by one-sided differences that stay inside the bounds; ``base`` is z at x."""
+def gauss_newton(residual: Residual, x: np.ndarray, box: ParameterBox, iterations: int = 8) -> LeastSquaresFit:
+    """Minimise Huber's loss: iteratively re-weighted Levenberg-Marquardt inside bounds, with numeric derivatives.
+
+    Args:
+        residual: what to make small.
+        x: where to start, (p,).
+        box: scales and bounds.
+        iterations: at most so many, at least 1.
+    """
+    now, damping = _Point.at(residual, box.clip(x)), 1e-3
+    for _ in range(iterations):
+        J = jacobian(residual, now.x, now.z, box)
+        better, damping = _damped_step(residual, now, J, box, damping)
+        if better is None:
+            break
+        better = _twice_as_far(residual, now, better, box)
+        gain = now.loss - better.loss
+        now, damping = better, damping / 5
+        if gain < 1e-4 * now.loss:
+            break
+    return LeastSquaresFit(now.x, now.loss, J, now.z)
+
+
+def jacobian(residual: Residual, x: np.ndarray, base: np.ndarray, box: ParameterBox, step: float = 0.02) -> np.ndarray:
+    """D residual / d (x / scale), (n rows, p), by one-sided differences inside the bounds; ``base`` is that at x."""
     columns = []
-    for i, c in enumerate(candidates):
-        _, high = c.bounds()
-        for k in range(c.size):
-            h = step * c.scale[k]
-            h = -h if x[i][k] + h > high[k] else h
-            moved = [v.copy() for v in x]
-            moved[i][k] += h
-            columns.append((z((*fixed, *effects_of(candidates, moved))) - base).ravel() / (h / c.scale[k]))
+    for k in range(len(x)):
+        h = step * box.scale[k]
+        h = -h if x[k] + h > box.high[k] else h
+        moved = x.copy()
+        moved[k] += h
+        columns.append((residual(moved) - base).ravel() / (h / box.scale[k]))
     return np.stack(columns, 1)
 
 
-def gauss_newton(
-    z: Predict, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], iterations: int = 8
-) -> LeastSquaresFit:
-    """Iteratively re-weighted Levenberg-Marquardt through the simulator, in units of the scales, inside the bounds.
-
-    Args:
-        z: whitened residuals under some effects, (n, rows).
-        fixed: effects that are not fitted.
-        candidates: effects that are.
-        x: where to start, one array for each candidate.
-        iterations: at most so many.
-    """
-    scale = np.concatenate([c.scale for c in candidates])
-    splits = np.cumsum([c.size for c in candidates])[:-1]
-    low, high = (np.concatenate(b) for b in zip(*(c.bounds() for c in candidates), strict=True))
-
-    def at(v: np.ndarray) -> np.ndarray:
-        return z((*fixed, *effects_of(candidates, np.split(v, splits))))
-
-    v = np.clip(np.concatenate([np.asarray(a, float) for a in x]), low, high)
-    now = at(v)
-    loss, damping = float(robust_loss(now).mean()), 1e-3
-    for _ in range(iterations):
-        J = jacobian(z, fixed, candidates, np.split(v, splits), now)
-        weight = 1.0 / np.maximum(1.0, np.abs(now.ravel()) / HUBER)
-        g, H = J.T @ (weight * now.ravel()), J.T @ (weight[:, None] * J)
-        improved = False
-        for _ in range(4):
-            trial = step_to(v, g, H + damping * np.diag(np.diag(H) + 1e-12), scale, low, high)
-            z_trial = at(trial)
-            trial_loss = float(robust_loss(z_trial).mean())
-            if trial_loss < loss:
-                improved = True
-                break
-            damping = max(10 * damping, 1e-2)
-        if not improved:
-            break
-        while trial_loss > FAR_OFF:  # contacts make slopes steeper than what they lead to: does more help more?
-            further = np.clip(2 * trial - v, low, high)
-            z_further = at(further)
-            further_loss = float(robust_loss(z_further).mean())
-            if further_loss > 0.99 * trial_loss:
-                break
-            trial, z_trial, trial_loss = further, z_further, further_loss
-        gain = loss - trial_loss
-        v, now, loss, damping = trial, z_trial, trial_loss, damping / 5
-        if gain < 1e-4 * loss:
-            break
-    return LeastSquaresFit(tuple(np.split(v, splits)), loss, J, now)
+def _damped_step(
+    residual: Residual, now: _Point, J: np.ndarray, box: ParameterBox, damping: float
+) -> tuple[_Point | None, float]:
+    """A step that helps, damped ever more until it does, or None; and the damping it took."""
+    z = now.z.ravel()
+    H, g = normal_equations(J, z, huber_weights(z))
+    for _ in range(4):
+        move = _free_move(now.x, g, H + damping * np.diag(np.diag(H) + 1e-12), box)
+        trial = _Point.at(residual, box.step(now.x, move, LONGEST_STEP))
+        if trial.loss < now.loss:
+            return trial, damping
+        damping = max(10 * damping, 1e-2)
+    return None, damping
 
 
-def step_to(
-    v: np.ndarray, g: np.ndarray, H: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    """Where a damped step leads, at most 20 scales away; parameters at a bound that push against it stay."""
-    free = ~(((v <= low) & (g > 0)) | ((v >= high) & (g < 0)))
-    move = np.zeros_like(v)
+def _free_move(x: np.ndarray, g: np.ndarray, H: np.ndarray, box: ParameterBox) -> np.ndarray:
+    """The solution of H move = -g; parameters at a bound that push against it stay."""
+    free = ~(((x <= box.low) & (g > 0)) | ((x >= box.high) & (g < 0)))
+    move = np.zeros_like(x)
     if free.any():
         move[free] = -np.linalg.lstsq(H[np.ix_(free, free)], g[free], rcond=1e-12)[0]
-    return np.clip(v + np.clip(move, -20, 20) * scale, low, high)
+    return move
 
 
-def influence(fit: LeastSquaresFit) -> tuple[np.ndarray, np.ndarray]:
-    """How x / scale moves with whitened residuals, but for the sign: (JᵀWJ)⁻¹, (p, p), and W J, (n rows, p)."""
-    weight = 1.0 / np.maximum(1.0, np.abs(fit.z.ravel()) / HUBER)
-    return np.linalg.pinv(fit.J.T @ (weight[:, None] * fit.J)), weight[:, None] * fit.J
+def _twice_as_far(residual: Residual, before: _Point, after: _Point, box: ParameterBox) -> _Point:
+    """Far from the minimum, go on in the same direction while more helps more.
+
+    Contacts make slopes steeper than what they lead to.
+    """
+    while after.loss > FAR_OFF:
+        further = _Point.at(residual, box.clip(2 * after.x - before.x))
+        if further.loss > 0.99 * after.loss:
+            break
+        after = further
+    return after

@@ -38,14 +38,7 @@ class Evaluation:
         """Return (or success) of a policy in the target, acting with its mean."""
         env = self.worlds.rewarded_target(min(self.episodes, 25))
         with closing(env):
-            result = evaluate(env, deterministic(policy), self.episodes, seed)
-        return {
-            "mean": result.mean,
-            "std": result.std,
-            "returns": list(result.returns),
-            "successes": list(result.successes),
-            "interactions": result.interactions,
-        }
+            return evaluate(env, deterministic(policy), self.episodes, seed).to_dict()
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from gymnasium.vector import VectorEnv
 from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 
-from gymnasium.vector import VectorEnv
 from idapt_pl.files import write_atomically
 from idapt_pl.rl.policy import Policy
 

@@ -11,7 +11,8 @@ import numpy as np
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
 from idapt_pl.diagnosis.data import as_recordings
-from idapt_pl.diagnosis.search import choose_candidates
+from idapt_pl.diagnosis.prepare import choose_candidates
+from idapt_pl.diagnosis.result import ChannelError
 from idapt_pl.effects import Domain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.envs import VectorImageEnv
@@ -27,7 +28,6 @@ from idapt_pl.image_diagnosis.forecasts import (
 )
 from idapt_pl.image_diagnosis.parabola import SYSTEMATIC_LOG_STD
 from idapt_pl.image_diagnosis.result import (
-    ChannelError,
     EnsembleBand,
     ForecastChannel,
     ForecastEvidence,

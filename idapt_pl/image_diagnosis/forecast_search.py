@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from idapt_pl.diagnosis.result import Alternative, EffectEstimate, ParameterEstimate
 from idapt_pl.effects import Domain
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
@@ -17,7 +18,6 @@ from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.estimation.stepwise import forward_selection
 from idapt_pl.image_diagnosis.forecasts import Forecaster
 from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
-from idapt_pl.image_diagnosis.result import EffectEstimate, ParameterEstimate
 
 log = logging.getLogger(__name__)
 NOMINAL_FACTORS = (0.4, 0.75, 1.5, 3.0, 8.0)
@@ -205,9 +205,9 @@ def trial_estimate(t: ForecastTrial, model: mujoco.MjModel, without: float) -> E
     interval = None if t.interval is None else tuple(map(six_digits, t.interval))
     estimate = ParameterEstimate(six_digits(nominal), six_digits(t.x), interval, unit_at(model, c.target, unit))
     equivalent = (
-        {"effect": e.candidate.kind.name, "target": e.candidate.target, "why": why,
-         "parameters": {e.candidate.names[0]: six_digits(e.x)}} for e in t.equivalent
-    )  # fmt: skip
+        Alternative(e.candidate.kind.name, e.candidate.target, {e.candidate.names[0]: six_digits(e.x)}, why)
+        for e in t.equivalent
+    )
     scores = six_digits(t.score), six_digits(without)
     return EffectEstimate(c.kind.name, c.target, {name: estimate}, {}, *scores, tuple(equivalent))
 

@@ -2,87 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate
 from idapt_pl.effects import Effect, effect_from_dict
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """One parameter of an effect.
-
-    Attributes:
-        nominal: its value in the source.
-        estimate: as found.
-        ci95: 95 % interval, or None where there is none.
-        unit: of all of these.
-    """
-
-    nominal: float
-    estimate: float
-    ci95: tuple[float, float] | None
-    unit: str
-
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> ParameterEstimate:
-        """From its JSON form."""
-        return cls(**{**entry, "ci95": None if entry["ci95"] is None else tuple(entry["ci95"])})
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON form."""
-        return {**vars(self), "ci95": None if self.ci95 is None else list(self.ci95)}
-
-
-@dataclass(frozen=True)
-class EffectEstimate:
-    """An effect with estimates of its parameters, as in report.json of ``idapt diagnose``.
-
-    Attributes:
-        effect: its name.
-        target: MJCF name of the element.
-        parameters: name to estimate.
-        fixed: parameters that were not free.
-        error_after: with all effects found, in the unit of the diagnosis's errors.
-        error_without: without this one.
-        equivalent: others that do as well: ``effect``, ``target``, ``parameters`` and ``why``.
-    """
-
-    effect: str
-    target: str
-    parameters: dict[str, ParameterEstimate]
-    fixed: dict[str, Any]
-    error_after: float
-    error_without: float
-    equivalent: tuple[Mapping[str, Any], ...]
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Effect and target."""
-        return self.effect, self.target
-
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> EffectEstimate:
-        """From its JSON form."""
-        parameters = {name: ParameterEstimate.from_dict(p) for name, p in entry["parameters"].items()}
-        return cls(**{**entry, "parameters": parameters, "equivalent": tuple(entry["equivalent"])})
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON form."""
-        parameters = {name: p.to_dict() for name, p in self.parameters.items()}
-        return {**vars(self), "parameters": parameters, "equivalent": list(self.equivalent)}
-
-
-@dataclass(frozen=True)
-class ChannelError:
-    """Root mean square errors of one channel, in its unit: without and with what was found, and the sensor's own."""
-
-    before: float
-    after: float
-    noise: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -245,8 +170,8 @@ class ImageDiagnosis:
             **allowance,
             "before": self.before,
             "after": self.after,
-            "target": {name: dataclasses.asdict(c) for name, c in self.target.items()},
-            "control": {name: dataclasses.asdict(c) for name, c in self.control.items()},
+            "target": {name: c.to_dict() for name, c in self.target.items()},
+            "control": {name: c.to_dict() for name, c in self.control.items()},
             **({"example": self.evidence.example.to_dict()} if self.by_forecasts else {}),
         }
 

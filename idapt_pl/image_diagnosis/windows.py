@@ -18,11 +18,12 @@ from functools import partial
 import numpy as np
 
 from datamodules import Trajectories
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.diagnosis.search_state import SearchSettings
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.image_diagnosis.calibration import GAIN_STD, CalibratedReadings, sub_episode
-from idapt_pl.image_diagnosis.result import ChannelError, EffectEstimate, ImageDiagnosis, WindowEvidence
+from idapt_pl.image_diagnosis.result import ImageDiagnosis, WindowEvidence
 from idapt_pl.image_diagnosis.settings import SHORTEST_EPISODE, DiscoverySettings
 from idapt_pl.tasks import Task
 
@@ -63,14 +64,8 @@ class WindowDiagnosis:
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> WindowDiagnosis:
         """What is looked at of a diagnosis."""
-        error = diagnosis.report["error"]
-        return cls(
-            tuple(diagnosis.effects),
-            tuple(map(EffectEstimate.from_dict, diagnosis.report["effects"])),
-            error["before"],
-            error["after"],
-            {name: ChannelError(**c) for name, c in error["per_channel"].items()},
-        )
+        found, error = diagnosis.result.effects, diagnosis.result.error
+        return cls(tuple(diagnosis.effects), tuple(found), error.before, error.after, error.channels)
 
     @property
     def removed_share(self) -> float:

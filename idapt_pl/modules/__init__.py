@@ -3,11 +3,13 @@
 from idapt_pl.modules.dynamics import ActionTransformation
 from idapt_pl.modules.imitation import Imitation
 from idapt_pl.modules.policy import AsymmetricSAC
+from idapt_pl.modules.sac import SAC
 from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.modules.state_predictor import StatePredictor
 from idapt_pl.modules.visual import VisualTransformation
 
 __all__ = [
+    "SAC",
     "ActionTransformation",
     "AsymmetricSAC",
     "Imitation",

@@ -7,7 +7,8 @@ import torch.nn.functional as nnf
 from torch import Tensor
 
 from idapt_pl.modules.manual import ManualModule
-from idapt_pl.modules.policy import AsymmetricSAC, unstack
+from idapt_pl.modules.policy import AsymmetricSAC
+from idapt_pl.modules.sac import unstack
 
 
 class Imitation(ManualModule):

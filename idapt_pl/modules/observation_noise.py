@@ -8,7 +8,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 
 
 class NoObservationNoise:
-    """Perceives what there is."""
+    """Observations as they are."""
 
     def renew(self, episodes: np.ndarray) -> None:
         """Nothing to draw."""
@@ -47,5 +47,5 @@ class ObservationNoise(NoObservationNoise):
         self.offset[episodes] = np.where(shown, offset, 0.0)[episodes]
 
     def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What :meth:`AsymmetricSAC.remember` returned, misperceived."""
+        """What :meth:`AsymmetricSAC.remember` returned, with the noise."""
         return {**seen, "observation": seen["observation"] * self.gain + self.offset}

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from idapt_pl.modules.policy import AsymmetricSAC, ImageActor
+from idapt_pl.modules.sac import SAC, Actor
 
 
 class Standardise(nn.Module):
@@ -31,8 +31,23 @@ class Standardise(nn.Module):
         return ((states - self.mean) / self.std).clamp(-10, 10)
 
 
-class StateSAC(AsymmetricSAC):
-    """Soft actor-critic whose actor sees the state too. Arguments as in :class:`AsymmetricSAC`."""
+class StateSAC(SAC):
+    """Soft actor-critic whose actor sees the state too, standardised; so do its critics.
+
+    Args:
+        state_dim: size of the state vector.
+        action_low: lower action bounds, in the actuators' units.
+        action_high: upper action bounds.
+        hidden: of the actor and the critics.
+        lr: Adam, decaying linearly to ``lr_floor`` of it over a stage.
+        lr_floor: 1 keeps the rate constant.
+        gamma: discount.
+        tau: soft update of the target critics.
+        temperature: α at the start.
+        learn_temperature: tune α towards ``target_entropy``; else it stays.
+        target_entropy: nats, on actions normalised to (-1, 1); default -nu.
+        actor_every: critic updates per actor (and temperature) update.
+    """
 
     def __init__(
         self,
@@ -49,18 +64,17 @@ class StateSAC(AsymmetricSAC):
         target_entropy: float | None = None,
         actor_every: int = 1,
     ) -> None:
-        super(AsymmetricSAC, self).__init__()  # its parts are other ones here
+        super().__init__()
         self.save_hyperparameters()
-        self.hparams.update(encoder="states", bf16=False, misperception=0.0)
-        self.add_networks(ImageActor(Standardise(state_dim), action_low, action_high, hidden), state_dim)
+        self.add_networks(Actor(Standardise(state_dim), action_low, action_high, hidden), state_dim)
 
     @torch.no_grad()
-    def encode(self, pixels: np.ndarray) -> Tensor:
+    def encode(self, observations: np.ndarray) -> Tensor:
         """Standardised states of states (n, state_dim)."""
-        return self.actor.encoder(torch.from_numpy(pixels).to(self.device))
+        return self.actor.encoder(torch.from_numpy(observations).to(self.device))
 
-    def remember(self, pixels: np.ndarray) -> dict[str, np.ndarray]:
-        return {"observation": pixels}
+    def remember(self, observations: np.ndarray) -> dict[str, np.ndarray]:
+        return {"observation": observations}
 
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
@@ -68,9 +82,6 @@ class StateSAC(AsymmetricSAC):
 
     def features(self, remembered: Tensor) -> Tensor:
         return self.actor.encoder(remembered)
-
-    def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
-        return batch["rewards"]
 
     def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         return super().critic_step(self._standardised(batch))

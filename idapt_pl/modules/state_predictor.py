@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import lightning as L
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.utils.data import Dataset
 
 from idapt_pl.modules.manual import fast_precision
-from idapt_pl.nets.encoder import Vision
+from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.nets.images import stack_channels
 
 
@@ -50,8 +53,40 @@ class StatePredictor(L.LightningModule):
         return error
 
     def configure_optimizers(self) -> dict:
-        optimizer = torch.optim.Adam(self.parameters(), lr=self.hparams.lr, fused=True)
         steps = int(self.trainer.estimated_stepping_batches)
-        # Annealed to zero: the last predictions are what everything after this is anchored to.
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        optimizer, schedule = annealed_adam(self.parameters(), self.hparams.lr, steps)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def annealed_adam(
+    parameters: Iterable[nn.Parameter], lr: float, steps: int
+) -> tuple[torch.optim.Adam, torch.optim.lr_scheduler.CosineAnnealingLR]:
+    """How a P is fitted: Adam, annealed to zero, as the last predictions anchor everything after them."""
+    optimizer = torch.optim.Adam(parameters, lr=lr, fused=True)
+    return optimizer, torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(1, steps))
+
+
+def fit_state_predictor(
+    predictor: PixelStatePredictor, data: Dataset, batches: int, batch_size: int, lr: float, device: torch.device
+) -> PixelStatePredictor:
+    """Fit a P as :class:`StatePredictor` does, inside of another Trainer's fit, where no second Trainer can run.
+
+    Args:
+        predictor: as it was made; its scale is taken from the data.
+        data: with ``labels`` (n, s), and batches of ``pixels`` and ``state`` by ``__getitems__``.
+        batches: gradient steps.
+        batch_size: stacks in each.
+        lr: the first learning rate.
+        device: to fit on; the predictor comes back on the CPU.
+    """
+    predictor.fit_scale(torch.from_numpy(data.labels))
+    predictor.to(device).train()
+    optimizer, schedule = annealed_adam(predictor.parameters(), lr, batches)
+    for _ in range(batches):
+        batch = data.__getitems__(torch.randint(len(data), (batch_size,)).tolist())
+        error = predictor.error(stack_channels(batch["pixels"].to(device)), batch["state"].to(device))
+        optimizer.zero_grad(set_to_none=True)
+        error.backward()
+        optimizer.step()
+        schedule.step()
+    return predictor.cpu().eval()

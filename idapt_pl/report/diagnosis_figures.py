@@ -23,8 +23,8 @@ Draw = Callable[[Diagnosis], Figure]
 def prediction_figure(diagnosis: Diagnosis) -> Figure:
     """Measured and predicted, before and after, in a typical stretch of held-out windows; a row a channel."""
     sim, windows = diagnosis.sim, typical_windows(diagnosis)
-    per_channel = diagnosis.report["error"]["per_channel"]
-    shown = worst_channels(per_channel)
+    channels = diagnosis.result.error.channels
+    shown = worst_channels(channels)
     truth, time = measured_channels(diagnosis, windows)
     residuals = {"before": sim.residual(diagnosis.declared, windows)}
     if diagnosis.effects != diagnosis.declared:
@@ -34,8 +34,8 @@ def prediction_figure(diagnosis: Diagnosis) -> Figure:
     for (whole, error), name in zip(axes, shown, strict=True):
         channel = sim.channels.index(name)
         lines = {label: r[..., channel] for label, r in residuals.items()}
-        draw_channel(whole, error, time, truth[..., channel], lines, per_channel[name]["noise"])
-        whole.set_title(f"{escape_mathtext(name)} ({per_channel[name]['unit']})", loc="left", fontsize=10)
+        draw_channel(whole, error, time, truth[..., channel], lines, channels[name].noise)
+        whole.set_title(f"{escape_mathtext(name)} ({channels[name].unit})", loc="left", fontsize=10)
         error.set_title("measured minus predicted", loc="left", fontsize=10)
     for axis in axes[-1]:
         axis.set_xlabel(f"time in {sim.data[windows.episode[0]].name} (s)")
@@ -64,9 +64,9 @@ def typical_windows(diagnosis: Diagnosis) -> Windows:
     """Consecutive windows of the longest held-out episode, where the error before is typical of it."""
     sim, held_out = diagnosis.sim, diagnosis.held_out
     steps = int(held_out.offsets[-1])
-    episode = max(diagnosis.report["error"]["held_out_episodes"], key=lambda e: len(sim.data[e]))
+    episode = max(diagnosis.result.error.held_out_episodes, key=lambda e: len(sim.data[e]))
     every = sample_windows(sim.data, np.array([episode]), steps, steps, 10**6, 0)
-    noise = np.array([c["noise"] for c in diagnosis.report["error"]["per_channel"].values()])
+    noise = np.array([c.noise for c in diagnosis.result.error.channels.values()])
     error = np.square(sim.residual(diagnosis.declared, every)[..., sim.compared] / noise).mean((1, 2))
     count = min(SHOWN_WINDOWS, len(every))
     level = np.convolve(error, np.ones(count) / count, "valid")
@@ -95,8 +95,8 @@ def measured_channels(diagnosis: Diagnosis, windows: Windows) -> tuple[np.ndarra
 
 def residual_figure(diagnosis: Diagnosis) -> Figure:
     """The residual of every channel before and after, and its noise."""
-    per_channel = diagnosis.report["error"]["per_channel"]
-    rows = np.arange(len(per_channel))[::-1]
+    channels = diagnosis.result.error.channels
+    rows = np.arange(len(channels))[::-1]
     changed = diagnosis.effects != diagnosis.declared
     bars = [("before", "before", BEFORE), ("after", "after", AFTER), ("noise", "measurement noise", NOISE)]
     if not changed:
@@ -104,14 +104,14 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
     figure = Figure(figsize=(7.2, 1.1 + (0.22 * len(bars) + 0.12) * len(rows)), layout="constrained")
     axis = figure.subplots()
     height = 0.82 / len(bars)
-    values = np.array([[c[key] for key, *_ in bars] for c in per_channel.values()])
+    values = np.array([[getattr(c, key) for key, *_ in bars] for c in channels.values()])
     floor = 0.5 * values[values > 0].min(initial=1.0)
     for k, (_, label, colour) in enumerate(bars):
         offset = 0.41 - height * (k + 0.5)
         axis.barh(rows + offset, np.maximum(values[:, k], floor), height, color=colour, label=label)
     axis.set_xscale("log")
     axis.set_xlim(floor, 1.5 * max(values.max(), 2 * floor))
-    axis.set_yticks(rows, [f"{escape_mathtext(name)} ({c['unit']})" for name, c in per_channel.items()])
+    axis.set_yticks(rows, [f"{escape_mathtext(name)} ({c.unit})" for name, c in channels.items()])
     axis.set_ylim(-0.6, len(rows) - 0.4)
     axis.grid(False, axis="y")
     axis.set_xlabel("root mean square of measured minus predicted, in the channel's unit")

@@ -58,19 +58,20 @@ def write_loadable_model(path: Path, xml: str) -> None:
 
 def log_diagnosis(folder: Path, diagnosis: Diagnosis, drawn: dict[str, Figure]) -> None:
     """Errors, estimates with their intervals, the verdict and the figures; events of an earlier run are removed."""
-    report = diagnosis.report
+    result = diagnosis.result
     for old in folder.glob("events.out.tfevents.*"):
         old.unlink()
     with SummaryWriter(folder) as writer:
+        errors = result.error.to_dict()
         for name in ("before", "after", "noise_floor", "ceiling", "removed_share"):
-            writer.add_scalar(f"error/{name}", report["error"][name], 0)
-        for effect in report["effects"]:
-            for name, p in effect["parameters"].items():
-                if isinstance(p["estimate"], str):
+            writer.add_scalar(f"error/{name}", errors[name], 0)
+        for effect in result.effects:
+            for name, p in effect.parameters.items():
+                if isinstance(p.estimate, str):
                     continue
-                tag = f"effects/{effect['effect']}/{effect['target']}/{name}"
-                for suffix, value in zip(("", "_low", "_high"), (p["estimate"], *(p["ci95"] or ())), strict=False):
+                tag = f"effects/{effect.effect}/{effect.target}/{name}"
+                for suffix, value in zip(("", "_low", "_high"), (p.estimate, *(p.ci95 or ())), strict=False):
                     writer.add_scalar(tag + suffix, value, 0)
-        writer.add_text("verdict", " ".join(verdict_in_words(report, diagnosis.sim.model)), 0)
+        writer.add_text("verdict", " ".join(verdict_in_words(result, diagnosis.sim.model)), 0)
         for name, figure in drawn.items():
             writer.add_figure(name, figure, 0)

@@ -6,14 +6,14 @@ from html import escape
 
 import matplotlib
 import mujoco
-import numpy as np
 from matplotlib.figure import Figure
 
 from idapt_pl.diagnosis.repaired import RepairedModel
+from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.search_state import Trial
-from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
-from idapt_pl.report.diagnosis_wording import episode_list, error_rows, headline, verdict_in_words
+from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.effects.wording import format_number, listing, phrase_at
+from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
 from idapt_pl.report.html import document, paragraph, row, section, table
 from idapt_pl.report.plots import STYLE, svg
 
@@ -21,10 +21,10 @@ SHOWN_ROWS = 25
 """Ranked candidates that are not folded away."""
 
 TONES = {
-    "effects_found": "#1d6fa5",
-    "no_missing_effect": "#2f7d3b",
-    "unexplained_residual": "#b4452c",
-    "insufficient_excitation": "#8a6d1a",
+    Verdict.EFFECTS_FOUND: "#1d6fa5",
+    Verdict.NO_MISSING_EFFECT: "#2f7d3b",
+    Verdict.UNEXPLAINED_RESIDUAL: "#b4452c",
+    Verdict.INSUFFICIENT_EXCITATION: "#8a6d1a",
 }
 
 
@@ -32,75 +32,72 @@ def diagnosis_page(
     diagnosis: Diagnosis, repaired: RepairedModel, drawn: dict[str, Figure], model_name: str, data_name: str
 ) -> str:
     """The whole page."""
-    report, model = diagnosis.report, diagnosis.sim.model
+    result, model = diagnosis.result, diagnosis.sim.model
     sections = [
-        verdict_header(report, model, model_name, data_name),
-        error_section(report),
-        effects_section(report, model),
-        signature_section(report),
-        next_experiment_section(report),
+        verdict_header(result, model, model_name, data_name),
+        error_section(result),
+        effects_section(result, model),
+        signature_section(result),
+        next_experiment_section(result),
         picture_sections(diagnosis, drawn),
         model_difference_section(repaired, bool(diagnosis.declared)),
         candidates_section(diagnosis),
         settings_section(diagnosis, model_name, data_name),
     ]
-    return document(f"{headline(report)}: {model_name}", sections, TONES[report["verdict"]])
+    return document(f"{headline(result)}: {model_name}", sections, TONES[result.verdict])
 
 
-def verdict_header(report: dict, model: mujoco.MjModel, model_name: str, data_name: str) -> str:
+def verdict_header(result: DiagnosisResult, model: mujoco.MjModel, model_name: str, data_name: str) -> str:
     """The verdict in words."""
-    first, *more = verdict_in_words(report, model)
+    first, *more = verdict_in_words(result, model)
     return (
         f'<header>\n<p class="small">{escape(model_name)} against {escape(data_name)}</p>\n'
-        f"<h1>{escape(headline(report))}</h1>\n"
+        f"<h1>{escape(headline(result))}</h1>\n"
         + "\n".join([paragraph(first, "lead"), *map(paragraph, more)])
         + "\n</header>"
     )
 
 
-def error_section(report: dict) -> str:
+def error_section(result: DiagnosisResult) -> str:
     """The table before, after, floor, ceiling."""
-    error = report["error"]
+    error = result.error
     return section(
         "Error on episodes not used for fitting",
-        table(("", "#error", ""), (row(name, f"#{format_number(v)}", what) for name, v, what in error_rows(report))),
+        table(("", "#error", ""), (row(name, f"#{format_number(v)}", what) for name, v, what in error_rows(result))),
         paragraph(
-            f"In {error['unit']}: {error['metric']} ({format_number(error['horizon_s'])} s), each predicted from its first "
-            f"measured state. Judged on {episode_list(error['held_out_episodes'])}.",
+            f"In {error.UNIT}: {error.metric} ({format_number(error.horizon_s)} s), each predicted from its first "
+            f"measured state. Judged on {episode_list(error.held_out_episodes)}.",
             "small",
         ),
     )
 
 
-def effects_section(report: dict, model: mujoco.MjModel) -> str:
+def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
     """Estimates with intervals and units."""
     rows = []
-    for e in report["effects"]:
-        others = listing(phrase_at(q["effect"], q["target"]) for q in e["equivalent"]) if e.get("equivalent") else ""
-        for i, (name, p) in enumerate(e["parameters"].items()):
-            value, interval = format_estimate(p["estimate"], p["ci95"])
-            nominal = p["nominal"] if isinstance(p["nominal"], str) else format_number(p["nominal"])
-            what = phrase_at(e["effect"], e["target"]) if i == 0 else ""
-            unit = unit_at(model, e["target"], p["unit"])
-            cells = (what, name, f"#{value}", f"#{interval or '-'}", unit, f"#{nominal}", others if i == 0 else "")
+    for e in result.effects:
+        others = listing(phrase_at(a.effect, a.target) for a in e.equivalent) if e.equivalent else ""
+        for i, (name, value, interval, unit, nominal) in enumerate(estimate_cells(e, model)):
+            what = phrase_at(e.effect, e.target) if i == 0 else ""
+            cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", others if i == 0 else "")
             rows.append(row(*cells))
     if not rows:
         return ""
     heads = ("effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "could also be")
-    if not any(e.get("equivalent") for e in report["effects"]):
+    if not any(e.equivalent for e in result.effects):
         heads, rows = heads[:-1], [r.replace("<td></td></tr>", "</tr>") for r in rows]
     return section("Effects to add", table(heads, rows))
 
 
-def signature_section(report: dict) -> str:
+def signature_section(result: DiagnosisResult) -> str:
     """What an unexplained residual looks like."""
-    text = report["signature"]
+    text = result.signature
     return section("What the unexplained part looks like", paragraph(text[0].upper() + text[1:])) if text else ""
 
 
-def next_experiment_section(report: dict) -> str:
+def next_experiment_section(result: DiagnosisResult) -> str:
     """What to record to decide what these data could not."""
-    text = report["next_experiment"]
+    text = result.next_experiment
     return section("What to record next", paragraph(text[0].upper() + text[1:])) if text else ""
 
 
@@ -149,10 +146,10 @@ def model_difference_section(repaired: RepairedModel, declared: bool) -> str:
 
 def candidates_section(diagnosis: Diagnosis) -> str:
     """Everything tried, ranked in each round, and why it lost."""
-    tried = sorted(diagnosis.tried, key=lambda t: (t.round, -t.score))
-    kept = {(e["effect"], e["target"], *e["parameters"]) for e in diagnosis.report["effects"]}
+    trials = sorted(diagnosis.trials, key=lambda t: (t.round, -t.score))
+    kept = {(e.effect, e.target, *e.parameters) for e in diagnosis.result.effects}
     rows, last = [], None
-    for t in tried:
+    for t in trials:
         if t.round != last:
             rows.append(f'<tr class="round"><td colspan="4">Round {t.round + 1}</td></tr>')
             last = t.round
@@ -177,30 +174,29 @@ def candidate_row(t: Trial, kept: set[tuple[str, ...]]) -> str:
     fixed = "".join(f", {name} {format_number(v)}" for name, v in c.fixed if isinstance(v, float) and c.size > 1)
     name = f"{phrase_at(c.kind.name, c.target)} ({', '.join(c.names)}{fixed})"
     gain = "#-" if t.gain != t.gain else f"#{format_number(t.gain)} ± {format_number(t.gain_error, 2)}"
-    if t.rejected_because:
-        return row(name, f"#{format_number(t.score)}", gain, t.rejected_because)
+    if t.rejection:
+        return row(name, f"#{format_number(t.score)}", gain, t.rejection.text)
     fate = "accepted" if (c.kind.name, c.target, *c.names) in kept else "accepted, later needless: left out again"
     return row(name, f"#{format_number(t.score)}", gain, fate, kind="accepted" if fate == "accepted" else "")
 
 
 def settings_section(diagnosis: Diagnosis, model_name: str, data_name: str) -> str:
     """Where the numbers come from."""
-    report, sim = diagnosis.report, diagnosis.sim
-    error = report["error"]
-    dt = float(np.median(np.diff(sim.data[0].time)))
+    result, sim = diagnosis.result, diagnosis.sim
+    error, steps = result.error, sum(map(len, sim.data))
     declared = ", ".join(phrase_at(e.name, e.target) for e in diagnosis.declared)
     rows = [
         ("model", f"{model_name}; degrees of freedom: {sim.model.nv}, actuators: {sim.model.nu}"),
         (
             "recordings",
-            f"{data_name}; episodes: {len(sim.data)}, steps: {sum(map(len, sim.data))} of {format_number(dt)} s",
+            f"{data_name}; episodes: {len(sim.data)}, steps: {steps} of {format_number(sim.control_period)} s",
         ),
-        ("fitted on", episode_list(error["fit_episodes"])),
-        ("judged on", episode_list(error["held_out_episodes"])),
-        ("windows", f"{format_number(error['horizon_s'])} s; {len(diagnosis.held_out)} held out"),
+        ("fitted on", episode_list(error.fit_episodes)),
+        ("judged on", episode_list(error.held_out_episodes)),
+        ("windows", f"{format_number(error.horizon_s)} s; {len(diagnosis.held_out)} held out"),
         ("compared", "positions and velocities" if sim.velocities else "positions; velocities are their slopes"),
         ("declared effects", declared or "none"),
-        ("runtime", f"{format_number(report['runtime_s'])} s, {sim.calls} batches of simulations"),
-        ("made with", f"MuJoCo {mujoco.__version__}; schema {report['schema']}"),
+        ("runtime", f"{format_number(result.runtime_s)} s, {sim.calls} batches of simulations"),
+        ("made with", f"MuJoCo {mujoco.__version__}; schema {result.SCHEMA}"),
     ]
     return section("Settings", table(("", ""), (row(*r) for r in rows)))

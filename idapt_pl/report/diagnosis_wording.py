@@ -1,117 +1,88 @@
-"""A diagnosis in words: the verdict as sentences."""
+"""A diagnosis in words: the verdict as sentences, numbers with their digits and units."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
+from idapt_pl.diagnosis.result import (
+    ChannelError,
+    DiagnosisResult,
+    EffectEstimate,
+    ErrorTable,
+    ParameterEstimate,
+    Verdict,
+)
 from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
 
 HEADLINES = {
-    "effects_found": "Found what the model lacks",
-    "no_missing_effect": "Nothing is missing",
-    "unexplained_residual": "Something is missing that no known effect explains",
-    "insufficient_excitation": "These recordings cannot tell",
+    Verdict.EFFECTS_FOUND: "Found what the model lacks",
+    Verdict.NO_MISSING_EFFECT: "Nothing is missing",
+    Verdict.UNEXPLAINED_RESIDUAL: "Something is missing that no known effect explains",
+    Verdict.INSUFFICIENT_EXCITATION: "These recordings cannot tell",
 }
 
 
-def effect_sentence(effect: dict, model: mujoco.MjModel) -> str:
-    """One effect of the report: what, where, how much, and how surely."""
-    parts, several = [], len(effect["parameters"]) > 1
-    for name, p in effect["parameters"].items():
-        value, interval = format_estimate(p["estimate"], p["ci95"])
-        unit = unit_at(model, effect["target"], p["unit"])
-        words = f"{name} {value}" if several else value
-        words += f" {unit}" if unit not in ("", "1") else ""
-        words += f" (95 %: {interval})" if interval else ""
-        if p["nominal"] not in (0, 0.0, p["estimate"]):
-            shown = p["nominal"] if isinstance(p["nominal"], str) else format_number(p["nominal"])
-            words += f" instead of {shown}"
-        parts.append(words)
-    return f"{phrase_at(effect['effect'], effect['target'])}, {', '.join(parts)}"
-
-
-def headline(report: dict) -> str:
+def headline(result: DiagnosisResult) -> str:
     """The verdict in a few words."""
-    if report["verdict"] == "unexplained_residual" and report["effects"]:
+    if result.verdict is Verdict.UNEXPLAINED_RESIDUAL and result.effects:
         return "Something is still missing that no known effect explains"
-    return HEADLINES[report["verdict"]]
+    return HEADLINES[result.verdict]
 
 
-def verdict_in_words(report: dict, model: mujoco.MjModel) -> list[str]:
-    """The verdict as sentences, the most important first."""
+def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
+    """The verdict as sentences, the most important first; ``model`` tells in which units effects are."""
     makers = {
-        "effects_found": found_sentences,
-        "no_missing_effect": nothing_missing_sentences,
-        "unexplained_residual": unexplained_sentences,
-        "insufficient_excitation": quiet_sentences,
+        Verdict.EFFECTS_FOUND: found_sentences,
+        Verdict.NO_MISSING_EFFECT: nothing_missing_sentences,
+        Verdict.UNEXPLAINED_RESIDUAL: unexplained_sentences,
+        Verdict.INSUFFICIENT_EXCITATION: quiet_sentences,
     }
-    return [*makers[report["verdict"]](report, model), *undecided_sentences(report)]
+    return [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
 
 
-def found_sentences(report: dict, model: mujoco.MjModel) -> list[str]:
+# --- what each verdict says -----------------------------------------------------------------------------
+
+
+def found_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """What the model lacks, and what adding it gains."""
-    return [
-        lacking_sentence(report, model),
-        gain_sentence(report["error"], "it" if len(report["effects"]) == 1 else "them"),
-    ]
+    return [lacking_sentence(result.effects, model), gain_sentence(result)]
 
 
-def lacking_sentence(report: dict, model: mujoco.MjModel) -> str:
-    """What was found, as a sentence."""
-    effects = report["effects"]
-    listed = "; ".join(effect_sentence(e, model) for e in effects)
-    new = all(p["nominal"] == 0 for e in effects for p in e["parameters"].values())
-    what = ("effect" if new else "change") + "s" * (len(effects) > 1)
-    how_many = "one" if len(effects) == 1 else str(len(effects))
-    return f"The model {'lacks' if new else 'needs'} {how_many} {what}: {listed}."
-
-
-def gain_sentence(error: dict, them: str) -> str:
-    """What adding the effects does to the held-out error."""
-    share = error["removed_share"]
-    removes = f"removes {100 * share:.0f} % of the removable error" if share > 0 else "changes the error"
-    return (
-        f"Adding {them} {removes} on episodes not used for fitting: from {format_number(error['before'])} "
-        f"to {format_number(error['after'])} times the measurement noise."
-    )
-
-
-def nothing_missing_sentences(report: dict, model: mujoco.MjModel) -> list[str]:
+def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """That the model is as good as the data can show."""
-    level = report["error"]["after"]
-    sentences = [
-        "No missing effect: none of the effects tried makes the predictions of episodes not used for fitting "
-        "better than chance would."
-    ]
-    if level < 1.3:
-        return [*sentences, f"The error is {format_number(level)} times the measurement noise; 1 is as good as can be."]
+    level = f"The error is {format_number(result.error.after)} times the measurement noise"
+    good = (
+        "; 1 is as good as can be."
+        if result.error.after < 1.3
+        else ", but neither state nor commands predict the rest."
+    )
     return [
-        *sentences,
-        f"The error is {format_number(level)} times the measurement noise, but neither state nor commands predict the rest.",
+        "No missing effect: none of the effects tried makes the predictions of episodes not used for fitting "
+        "better than chance would.",
+        level + good,
     ]
 
 
-def unexplained_sentences(report: dict, model: mujoco.MjModel) -> list[str]:
+def unexplained_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """What was found all the same, and that it does not suffice."""
-    error = report["error"]
-    level = f"{format_number(error['after'])} times the measurement noise"
-    if not report["effects"]:
+    level = f"{format_number(result.error.after)} times the measurement noise"
+    if not result.effects:
         return [
             f"The model lacks something, and no effect of the library explains it: the error is {level} on episodes "
             "not used for fitting."
         ]
-    helps = "; ".join(effect_sentence(e, model) for e in report["effects"])
+    helps = "; ".join(effect_sentence(e, model) for e in result.effects)
     return [
         f"Part of the error stays unexplained: {level} on episodes not used for fitting is left after all that helps.",
         f"What helps: {helps}.",
-        gain_sentence(error, "it" if len(report["effects"]) == 1 else "them"),
+        gain_sentence(result),
     ]
 
 
-def quiet_sentences(report: dict, model: mujoco.MjModel) -> list[str]:
+def quiet_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """That the recordings would not have shown an effect."""
     return [
         "These recordings cannot tell whether something is missing: they move the mechanism so little that even a "
@@ -119,27 +90,81 @@ def quiet_sentences(report: dict, model: mujoco.MjModel) -> list[str]:
     ]
 
 
-def undecided_sentences(report: dict) -> list[str]:
+def gain_sentence(result: DiagnosisResult) -> str:
+    """What adding the effects does to the held-out error."""
+    error, them = result.error, "it" if len(result.effects) == 1 else "them"
+    percent = f"{100 * error.removed_share:.0f} %"
+    removes = f"removes {percent} of the removable error" if error.removed_share > 0 else "changes the error"
+    return (
+        f"Adding {them} {removes} on episodes not used for fitting: from {format_number(error.before)} "
+        f"to {format_number(error.after)} times the measurement noise."
+    )
+
+
+# --- effects --------------------------------------------------------------------------------------------
+
+
+def lacking_sentence(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> str:
+    """What was found, as a sentence."""
+    listed = "; ".join(effect_sentence(e, model) for e in effects)
+    new = all(p.nominal == 0 for e in effects for p in e.parameters.values())
+    what = ("effect" if new else "change") + "s" * (len(effects) > 1)
+    how_many = "one" if len(effects) == 1 else str(len(effects))
+    return f"The model {'lacks' if new else 'needs'} {how_many} {what}: {listed}."
+
+
+def effect_sentence(effect: EffectEstimate, model: mujoco.MjModel) -> str:
+    """One effect: what, where, how much, and how surely."""
+    parts, several = [], len(effect.parameters) > 1
+    for name, p in effect.parameters.items():
+        value, interval = format_estimate(p.estimate, p.ci95)
+        unit = unit_at(model, effect.target, p.unit)
+        words = f"{name} {value}" if several else value
+        words += f" {unit}" if unit not in ("", "1") else ""
+        words += f" (95 %: {interval})" if interval else ""
+        words += f" instead of {nominal_in_words(p)}" if p.nominal not in (0, p.estimate) else ""
+        parts.append(words)
+    return f"{phrase_at(effect.effect, effect.target)}, {', '.join(parts)}"
+
+
+def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
     """Which effects are one of several that explain the data equally well."""
     sentences = []
-    for e in report["effects"]:
-        own = phrase_at(e["effect"], e["target"])
-        others = [phrase_at(q["effect"], q["target"]) for q in e.get("equivalent", ())]
+    for e in effects:
+        own = phrase_at(e.effect, e.target)
+        others = [phrase_at(a.effect, a.target) for a in e.equivalent]
         if others:
             others = ["another form of it" if o == own else o for o in others]
             sentences.append(f"These data cannot tell {own} from {listing(others)}.")
     return sentences
 
 
-def error_rows(report: dict) -> list[tuple[str, float, str]]:
-    """The table before, after, floor, ceiling: name, value, what it means."""
-    error = report["error"]
-    given = "the model as it was given" + (", with the effects declared" if report["declared"] else "")
+def estimate_cells(effect: EffectEstimate, model: mujoco.MjModel) -> list[tuple[str, str, str, str, str]]:
+    """A row for each parameter of an effect: its name, estimate, interval, unit, and value in the model."""
     return [
-        ("before", error["before"], given),
-        ("after", error["after"], "with the effects below" if report["effects"] else "the same: nothing was added"),
-        ("noise floor", error["noise_floor"], "a perfect model: what the measurement noise alone leaves"),
-        ("ceiling", error["ceiling"], "the given model, corrected by a black box (a regression on state and commands)"),
+        (name, value, interval or "-", unit_at(model, effect.target, p.unit), nominal_in_words(p))
+        for name, p in effect.parameters.items()
+        for value, interval in [format_estimate(p.estimate, p.ci95)]
+    ]
+
+
+def nominal_in_words(p: ParameterEstimate) -> str:
+    """What a parameter is in the model."""
+    return p.nominal if isinstance(p.nominal, str) else format_number(p.nominal)
+
+
+# --- errors ---------------------------------------------------------------------------------------------
+
+
+def error_rows(result: DiagnosisResult) -> list[tuple[str, float, str]]:
+    """The table before, after, floor, ceiling: name, value, what it means."""
+    error = result.error
+    given = "the model as it was given" + (", with the effects declared" if result.declared else "")
+    return [
+        ("before", error.before, given),
+        ("after", error.after, "with the effects below" if result.effects else "the same: nothing was added"),
+        ("noise floor", ErrorTable.NOISE_FLOOR, "a perfect model: what the measurement noise alone leaves"),
+        ("ceiling", error.ceiling, "the given model, corrected by a black box (a regression on state and commands)"),
     ]
 
 
@@ -150,9 +175,9 @@ def episode_list(numbers: Sequence[int], most: int = 12) -> str:
     return f"episode{'s' * (len(numbers) != 1)} {', '.join(map(str, numbers))}"
 
 
-def worst_channels(per_channel: dict[str, dict], most: int = 4) -> list[str]:
+def worst_channels(channels: Mapping[str, ChannelError], most: int = 4) -> list[str]:
     """The 2 to ``most`` channels with the largest error relative to noise, in the model's order."""
-    ratio = np.array([c["before"] / max(c["noise"], 1e-12) for c in per_channel.values()])
+    ratio = np.array([c.before / max(c.noise, 1e-12) for c in channels.values()])
     keep = np.argsort(-ratio)[:most]
-    names = list(per_channel)
+    names = list(channels)
     return [names[i] for i in np.sort(keep[(ratio[keep] > 0.1 * ratio.max()) | (np.arange(len(keep)) < 2)])]

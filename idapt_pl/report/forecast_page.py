@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from idapt_pl.diagnosis.repaired import RepairedModel
+from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.report.diagnosis_page import TONES, model_difference_section
@@ -34,12 +35,16 @@ def forecast_verdict(report: dict, model: mujoco.MjModel) -> list[str]:
             f"The energy score of the source's forecasts is {format_number(error['before'])}, and {level}; the "
             "difference may be what G and the sensor get wrong in these images, or an effect that was not tried.",
         ]
-    before, after = format_number(error["before"]), format_number(error["after"])
-    them = "it" if len(report["effects"]) == 1 else "them"
+    before, after, them = (
+        format_number(error["before"]),
+        format_number(error["after"]),
+        "it" if len(report["effects"]) == 1 else "them",
+    )
+    effects = [EffectEstimate.from_dict(e) for e in report["effects"]]
     return [
-        lacking_sentence(report, model),
+        lacking_sentence(effects, model),
         f"With {them}, the energy score of forecasts is {after} instead of {before} (less is better; {level}).",
-        *undecided_sentences(report),
+        *undecided_sentences(effects),
     ]
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import mujoco
 
+from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
-from idapt_pl.image_diagnosis.result import EffectEstimate, ForecastExample
+from idapt_pl.image_diagnosis.result import ForecastExample
 from idapt_pl.report.html import details, figure, paragraph, row, scrollable, table
 from idapt_pl.report.plots import svg
 from idapt_pl.report.run_figures import forecast_figure

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 from idapt_pl.files import write_atomically
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.report.html import (
     TONE,
     details,
@@ -27,25 +26,25 @@ from idapt_pl.report.run_figures import returns_figure
 from idapt_pl.report.run_record import RunRecord, read_run_record
 from idapt_pl.report.run_step import step_section
 from idapt_pl.report.run_wording import format_result, format_score, step_name
+from idapt_pl.run import Run
 
 ROLLED_BACK_CSS = "section.rolled { border-left: 6px solid #b4452c; }\n"
 """Marks steps whose F was rolled back."""
 
 
-def write_run_report(grounding: IterativeGrounding, path: Path | None = None) -> Path:
+def write_run_report(run: Run, path: Path | None = None) -> Path:
     """Write ``report.html`` of a run, finished or not, from its folder; nothing is simulated. Returns its path."""
-    run = grounding.stages.run_dir
-    path = path or run / "report.html"
-    text = run_page(read_run_record(run), grounding)
+    path = path or run.folder / "report.html"
+    text = run_page(read_run_record(run.folder), run)
     write_atomically(path, lambda temporary: temporary.write_text(text))
     return path
 
 
-def run_page(record: RunRecord, grounding: IterativeGrounding) -> str:
+def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
-    metric = grounding.worlds.task.metric
+    metric = run.worlds.task.metric
     parts = [outcome_header(record, metric), missing_section(record), returns_section(record, metric)]
-    parts += [step_section(record, step, metric, grounding) for step in record.steps]
+    parts += [step_section(record, step, metric, run) for step in record.steps]
     parts += [times_section(record), ledger_section(record), run_settings_section(record)]
     title = f"{record.config['task']}: source to {record.config['target']}, seed {record.config['seed']}"
     return document(title, parts, TONE, ROLLED_BACK_CSS)

@@ -6,7 +6,6 @@ import base64
 
 from idapt_pl.appearance import VisualEffects
 from idapt_pl.effects.wording import format_number
-from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.report.found_effects import found_effects_section
 from idapt_pl.report.html import (
     data_uri,
@@ -24,28 +23,28 @@ from idapt_pl.report.html import (
 from idapt_pl.report.run_pictures import translated_examples
 from idapt_pl.report.run_record import RunRecord, StepRecord
 from idapt_pl.report.run_wording import format_distance, step_story
-from idapt_pl.stage import load_finished
+from idapt_pl.run import Run
 
 PICTURE_WIDTH = 92
 """Of translated frames, pixels of the page."""
 
 
-def step_section(record: RunRecord, step: StepRecord, metric: str, grounding: IterativeGrounding) -> str:
+def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> str:
     """One grounding step: in words, in pictures, in numbers."""
-    model = grounding.worlds.source_domain.compile()
+    model = run.worlds.source_domain.compile()
     parts = [paragraph(s) for s in step_story(record, step, metric)]
     if step.visual_effects is not None:
         parts.append(visual_effects_section(step.visual_effects))
     if step.diagnosis is not None:
         parts.append(found_effects_section(step.diagnosis, model))
-    parts += [step_images(step, grounding), step_numbers(step, metric)]
+    parts += [step_images(step, run), step_numbers(step, metric)]
     learned = "G, F and the policy" if step.k else "G, and effects" if step.source_repaired else "G alone"
     return section(f"Step {step.k}: {learned}", *parts, kind="rolled" * step.selection.get("rolled_back", False))
 
 
-def step_images(step: StepRecord, grounding: IterativeGrounding) -> str:
+def step_images(step: StepRecord, run: Run) -> str:
     """Source, translation and target; and the policy at work."""
-    made = [translated_frames(step, grounding)]
+    made = [translated_frames(step, run)]
     clip = step.folder / "policy_in_grounded_and_target.gif"
     if clip.exists():
         shown = image(data_uri(clip.read_bytes(), "gif"), "the policy")
@@ -53,13 +52,13 @@ def step_images(step: StepRecord, grounding: IterativeGrounding) -> str:
     return picture_row(*made)
 
 
-def translated_frames(step: StepRecord, grounding: IterativeGrounding) -> str:
+def translated_frames(step: StepRecord, run: Run) -> str:
     """Rows of pictures: what the source shows, what G makes of it, and the real target frame most like that."""
     checkpoint = step.folder / "visual" / "final.ckpt"
     if not checkpoint.exists():
         return paragraph("No pictures: G of this step has not been trained yet.", "small")
     try:
-        G = load_finished(grounding.fit.make.visual(**grounding.worlds.dimensions), checkpoint)
+        G = run.load_visual(checkpoint)
     except Exception as error:  # what a damaged checkpoint raises can be anything
         return paragraph(f"No pictures: {checkpoint} cannot be loaded ({type(error).__name__}: {error}).", "small")
     try:

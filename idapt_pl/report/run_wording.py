@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from idapt_pl.effects.wording import format_number
 from idapt_pl.report.run_record import RunRecord, StepRecord
-from idapt_pl.stages.rollback import rollback_sentence
+from idapt_pl.stages.rollback import RollbackDecision
 
 
 def format_score(value: float, metric: str) -> str:
@@ -58,5 +58,5 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
             "put back."
         )
     if step.selection:
-        sentences.append(rollback_sentence(step.selection) + ".")
+        sentences.append(RollbackDecision.from_dict(step.selection).sentence + ".")
     return sentences

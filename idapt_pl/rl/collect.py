@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from datamodules import Episode, Trajectories
-from gymnasium.vector import VectorEnv
 from idapt_pl.rl.policy import Policy, tick
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
-from idapt_pl.modules import AsymmetricSAC
+
+from idapt_pl.modules import SAC
 from idapt_pl.rl.exploration import random_policy
 
 
@@ -23,15 +23,15 @@ class Experience:
         random: act at random instead (warm-up of a new policy).
     """
 
-    def __init__(self, env: VectorEnv, policy: AsymmetricSAC, seed: int, random: bool = False) -> None:
+    def __init__(self, env: VectorEnv, policy: SAC, seed: int, random: bool = False) -> None:
         self.env, self.policy = env, policy
         self.act = policy.act_on
         if random:
             draw = random_policy(env, seed)
             self.act = lambda seen: draw(seen["observation"])
         obs, _ = env.reset(seed=seed)
-        self.perceive = policy.perception(env.num_envs, seed)
-        self._state, self._seen = obs["state"], self.perceive(policy.remember(obs["pixels"]))
+        self.noise = policy.observation_noise(env.num_envs, seed)
+        self._state, self._seen = obs["state"], self.noise(policy.remember(obs["pixels"]))
         self._return = np.zeros(env.num_envs)
         self._finished: deque[float] = deque(maxlen=20)
 
@@ -42,11 +42,11 @@ class Experience:
         obs, rewards, terminations, truncations, infos = self.env.step(actions)
         done = terminations | truncations
         last = infos.get("final_obs", obs)
-        next_state, next_seen = last["state"], self.perceive(self.policy.remember(last["pixels"]))
+        next_state, next_seen = last["state"], self.noise(self.policy.remember(last["pixels"]))
         self._state, self._seen = obs["state"], next_seen
         if done.any():
-            self.perceive.renew(done)
-            self._seen = self.perceive(self.policy.remember(obs["pixels"]))
+            self.noise.renew(done)
+            self._seen = self.noise(self.policy.remember(obs["pixels"]))
         self._return += rewards
         self._finished.extend(self._return[done])
         self._return[done] = 0.0

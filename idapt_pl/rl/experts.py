@@ -5,30 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import closing
-from pathlib import Path
 
-import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from gymnasium.vector import VectorEnv
 from idapt_pl.effects import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.experience import Experience
-from idapt_pl.rl.policy import Policy
 from idapt_pl.rl.returns import Returns, evaluate
 from idapt_pl.stage import Stages
 from idapt_pl.tasks import Task
 from idapt_pl.tasks.recipe import ExpertRecipe
-
-RECIPES = {
-    "inverted_pendulum": ExpertRecipe(steps=8_000, updates_per_step=2),
-    "half_cheetah": ExpertRecipe(steps=60_000),
-    "walker2d": ExpertRecipe(steps=100_000),
-    "fetch_reach": ExpertRecipe(steps=10_000, gamma=0.95),
-    "sawyer_push": ExpertRecipe(steps=30_000, gamma=0.95),
-}
 
 
 def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stages, name: str) -> StateSAC:
@@ -74,18 +63,3 @@ def measure_expert(policy: StateSAC, task: Task, domain: Domain, episodes: int, 
     """What a policy reaches in a domain, acting with its mean on the true states."""
     with closing(VectorStateEnv(task, domain, min(episodes, 20))) as env:
         return evaluate(env, lambda states: policy.act(states, deterministic=True), episodes, seed)
-
-
-def acting_on_states(policy: StateSAC, env) -> Policy:
-    """A policy on states as one that is asked with images: it reads the simulations behind them."""
-    inner = env.unwrapped
-
-    def act(pixels: np.ndarray) -> np.ndarray:
-        return policy.act(np.asarray([inner.task.state(inner.model, d) for d in inner.data], np.float32))
-
-    return act
-
-
-def expert_folder(cache: Path, task: Task, kind: str, seed: int) -> Path:
-    """Where an expert is kept."""
-    return cache / f"{task.name}_{kind}_{seed}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
+
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.policy import Policy
 
@@ -43,7 +43,7 @@ EXPLORATION: dict[str, Callable[[VectorEnv, int], Policy]] = {"random": random_p
 
 
 class OpenLoopReplay:
-    """An ``Act`` that plays a teacher's actions open loop: those it takes in a source of its own, running alongside.
+    """A policy that plays a teacher's actions open loop: those it takes in a source of its own, running alongside.
 
     Both begin their episodes together, and nothing that the robot does changes what is played. So both domains are
     shown the motions that the policy will make, for as long as they last without feedback, where random actions would

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 from torch import Tensor
 
-from gymnasium.vector import VectorEnv
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.rl.policy import Policy, tick
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
 from gymnasium.vector import VectorEnv
+
 from idapt_pl.rl.policy import Policy
 
 
@@ -25,6 +25,11 @@ class Returns:
     @property
     def mean(self) -> float:
         return float(np.mean(self.successes or self.returns))
+
+    def to_dict(self) -> dict:
+        """For JSON."""
+        values = {"returns": list(self.returns), "successes": list(self.successes)}
+        return {"mean": self.mean, "std": self.std, **values, "interactions": self.interactions}
 
     @property
     def std(self) -> float:

@@ -82,8 +82,8 @@ def transition_residual(
 ) -> dict[str, float]:
     """How far grounded transitions (f, a, f') are from the target's, before F, after F, and the floor.
 
-    Energy distance on standardised features: mean and standard deviation over rollouts (:func:`transition_distances`). The
-    target's images and actions are all it uses.
+    Energy distance on standardised features: mean and standard deviation over rollouts
+    (:func:`transition_distances`). The target's images and actions are all it uses.
     """
     before, after, floor = transition_distances(worlds, policy, G, F, target, seed)
     found = {"noise_floor": floor}

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from gymnasium.vector import VectorEnv
 from idapt_pl.envs import StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.rl.experience import Experience
-from idapt_pl.rl.experts import RECIPES, fit_expert
+from idapt_pl.rl.experts import fit_expert
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -103,16 +103,16 @@ class Distillation:
     Args:
         worlds: of the run.
         stages: of the run.
-        teacher: how.
+        settings: how long the teacher trains and is imitated.
         num_envs: simulations that the student acts in side by side.
-        batch: lessons in a minibatch.
-        memory: lessons kept.
+        batch: labelled observations in a minibatch.
+        memory: labelled observations kept.
     """
 
     def __init__(
-        self, worlds: Worlds, stages: Stages, teacher: TeacherSettings, num_envs: int, batch: int, memory: int
+        self, worlds: Worlds, stages: Stages, settings: TeacherSettings, num_envs: int, batch: int, memory: int
     ) -> None:
-        self.worlds, self.stages, self.teacher = worlds, stages, teacher
+        self.worlds, self.stages, self.settings = worlds, stages, settings
         self.num_envs, self.batch, self.memory = num_envs, batch, memory
         self.expert: StateSAC | None = None
         self._first: StateSAC | None = None  # before any adaptation
@@ -135,13 +135,13 @@ class Distillation:
             return Imitation(policy)
 
         def feed(module: Imitation, seed: int, device: torch.device) -> ReplayDataModule:
-            t, n, policy = self.teacher, self.num_envs, module.policy
+            t, n, policy = self.settings, self.num_envs, module.policy
             fading = math.ceil(t.fading * t.dagger / n)
-            supervised = policy.hparams.encoder == "supervised"
+            supervised = policy.supervised
             images = round(policy.hparams.estimator_updates * n) if supervised else 0
-            lessons = DaggerExperience(make_env(device), policy, teacher.to(device), seed, fading, images > 0)
+            experience = DaggerExperience(make_env(device), policy, teacher.to(device), seed, fading, images > 0)
             return ReplayDataModule(
-                lessons,
+                experience,
                 ReplayBuffer(min(self.memory, t.dagger), seed),
                 self.batch,
                 updates_per_batch=max(1, round(t.updates_per_step * n)),
@@ -151,7 +151,7 @@ class Distillation:
                 names=LABELLED,
             )
 
-        steps = self.teacher.dagger // self.num_envs
+        steps = self.settings.dagger // self.num_envs
         return self.stages.fit(step, f"{prefix}student", build_imitation, feed, steps).policy
 
     def up_to_date(
@@ -165,11 +165,11 @@ class Distillation:
         """The teacher, trained in the source and after that in whatever dynamics are new."""
         dynamics = (self.worlds.source_domain, F)
         known, fresh = self.expert, self.expert is None
-        if not fresh and (dynamics == self._dynamics or not self.teacher.adapt):
+        if not fresh and (dynamics == self._dynamics or not self.settings.adapt):
             return known
         policy = build().hparams  # its critics are to be the student's
-        recipe = replace(RECIPES[self.worlds.task.name], gamma=policy.gamma)
-        recipe = replace(recipe, steps=self.teacher.steps if fresh else self.teacher.adapt)
+        recipe = replace(self.worlds.task.expert, gamma=policy.gamma)
+        recipe = replace(recipe, steps=self.settings.steps if fresh else self.settings.adapt)
 
         def build_expert() -> StateSAC:
             bounds = self.worlds.action_bounds

@@ -10,9 +10,12 @@ there is no shortage, whole episodes of several rollouts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+import logging
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,8 +25,10 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.rl.transition_distance import ROLLOUTS, grounded_rollouts, standardised_transitions
+from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
+log = logging.getLogger(__name__)
 BOOTSTRAP_DRAWS = 2000
 """Bootstrap draws."""
 
@@ -74,6 +79,80 @@ def unpredicted_change(known: torch.Tensor, d: int) -> Callable[[torch.Tensor], 
     return lambda x: torch.cat([x[:, :-d], (x[:, -d:] - inputs(x) @ law) / spread], 1)
 
 
+@dataclass(frozen=True)
+class RollbackDecision:
+    """Whether a new F is clearly worse than the one before.
+
+    Attributes:
+        before: energy distance to the held-out target transitions with the F before.
+        after: with the new one.
+        worse_by: their difference.
+        ci95: its 95 % interval, by bootstrap.
+        rolled_back: whether all of that interval is above zero.
+        held_out_pieces: pieces of recordings that were held out.
+        held_out_steps: control steps in them.
+    """
+
+    before: float
+    after: float
+    worse_by: float
+    ci95: tuple[float, float]
+    rolled_back: bool
+    held_out_pieces: int = 0
+    held_out_steps: int = 0
+
+    def to_dict(self) -> dict:
+        """As in ``selection.json``."""
+        return vars(self) | {"ci95": list(self.ci95)}
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> RollbackDecision:
+        """From ``selection.json``, whatever else it holds."""
+        known = {f.name: entry[f.name] for f in dataclasses.fields(cls) if f.name in entry}
+        return cls(**known | {"ci95": tuple(known["ci95"])})
+
+    @property
+    def sentence(self) -> str:
+        """The decision in words."""
+        low, high = self.ci95
+        told = "F is rolled back: it is clearly worse" if self.rolled_back else "F is kept: it is not clearly worse"
+        return (
+            f"{told} than the one before on {self.held_out_steps} held-out target steps; residual "
+            f"{self.after:.3g} against {self.before:.3g}, difference {self.worse_by:+.3g} "
+            f"(95 %: {low:+.3g} to {high:+.3g})"
+        )
+
+
+@dataclass(frozen=True)
+class Rollback:
+    """Goes on with the F of the step before where the target's held-out images and actions say so; off by default.
+
+    Attributes:
+        worlds: of the run; no target is made.
+        stages: of the run; keeps the decision in ``selection.json``.
+        on: whether anything is compared at all.
+    """
+
+    worlds: Worlds
+    stages: Stages
+    on: bool
+
+    def __call__(
+        self, k: int, pi: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None,
+        F_before: ActionTransformation | None, target: Path,
+    ) -> ActionTransformation | None:  # fmt: skip
+        """The F to go on with; ``pi`` is the policy whose recording ``target`` is."""
+        if not self.on or F is None or F is F_before:
+            return F
+
+        def make(seed: int) -> dict:
+            return compare_transformations(self.worlds, pi, G, F, F_before, target, seed).to_dict()
+
+        decision = RollbackDecision.from_dict(self.stages.measure(k, "selection", make))
+        log.info("step %d  %s", k, decision.sentence)
+        return F_before if decision.rolled_back else F
+
+
 def compare_transformations(
     worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation,
     F_before: ActionTransformation | None, target: Path, seed: int,
@@ -89,10 +168,8 @@ def compare_transformations(
         target: trajectory file; its images and actions are all that is used.
         seed: of the rollouts and of the bootstrap.
 
-    Returns:
-        ``before`` and ``after``, energy distances to the held-out target transitions with the one F and the other;
-        ``worse_by``, their difference, and its ``ci95``; ``rolled_back``: whether all of that interval is above zero;
-        how much was held out, ``held_out_pieces`` and ``held_out_steps``.
+    Raises:
+        ValueError: if too little was held out.
     """
 
     def grounded(transform: ActionTransformation | None) -> TransitionSample:
@@ -111,7 +188,9 @@ def compare_transformations(
     return bootstrap_comparison(grounded(F_before), grounded(F), real, seed)
 
 
-def bootstrap_comparison(before: TransitionSample, after: TransitionSample, real: TransitionSample, seed: int) -> dict:
+def bootstrap_comparison(
+    before: TransitionSample, after: TransitionSample, real: TransitionSample, seed: int
+) -> RollbackDecision:
     """Whether ``after`` is clearly further from ``real`` than ``before`` is; see :func:`compare_transformations`."""
     rng = np.random.default_rng(seed)
 
@@ -131,23 +210,12 @@ def bootstrap_comparison(before: TransitionSample, after: TransitionSample, real
     one, other = distance(before), distance(after)
     worse = other - one
     low, high = np.nanquantile(worse[1:].numpy(), [0.025, 0.975])  # a draw of one piece alone has no spread: NaN
-    return {
-        "before": round(float(one[0]), 4),
-        "after": round(float(other[0]), 4),
-        "worse_by": round(float(worse[0]), 4),
-        "ci95": [round(float(low), 4), round(float(high), 4)],
-        "rolled_back": bool(low > 0),
-        "held_out_pieces": int(real.piece.max()) + 1,
-        "held_out_steps": len(real.values),
-    }
-
-
-def rollback_sentence(result: dict) -> str:
-    """The decision as a sentence."""
-    low, high = result["ci95"]
-    verdict = "F is rolled back: it is clearly worse" if result["rolled_back"] else "F is kept: it is not clearly worse"
-    return (
-        f"{verdict} than the one before on {result['held_out_steps']} held-out target steps; residual "
-        f"{result['after']:.3g} against {result['before']:.3g}, difference {result['worse_by']:+.3g} "
-        f"(95 %: {low:+.3g} to {high:+.3g})"
+    return RollbackDecision(
+        before=round(float(one[0]), 4),
+        after=round(float(other[0]), 4),
+        worse_by=round(float(worse[0]), 4),
+        ci95=(round(float(low), 4), round(float(high), 4)),
+        rolled_back=bool(low > 0),
+        held_out_pieces=int(real.piece.max()) + 1,
+        held_out_steps=len(real.values),
     )

@@ -16,11 +16,15 @@ import torch
 from mujoco import rollout
 from torch import Tensor
 
+from idapt_pl.estimation.least_squares import huber_weights, project_out
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
 CLEARLY_BETTER = 1.5
 """A law is preferred to a simpler one if the simpler one leaves this many times as much on held-out episodes."""
+
+MOST_MOVE, MOST_KICK = 0.05, 1.0
+"""What a step changes first positions (m or rad) and velocities (per second) by at most."""
 
 ActionLaw = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """(parameters (p,), states (n, state_dim), target actions (n, nu)) to source actions (n, nu)."""
@@ -37,6 +41,22 @@ class MatchingWindows:
     def part(self, rows: np.ndarray) -> MatchingWindows:
         """Some of the windows."""
         return MatchingWindows(self.qpos[rows], self.actions[rows], self.episode[rows])
+
+
+@dataclass(frozen=True)
+class WindowStarts:
+    """First states of windows: positions (n, nq) and velocities (n, nv)."""
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+
+    def moved(self, by: np.ndarray) -> WindowStarts:
+        """Moved by (n, nq + nv), but not far in one step."""
+        nq = self.qpos.shape[1]
+        return WindowStarts(
+            self.qpos + np.clip(by[:, :nq], -MOST_MOVE, MOST_MOVE),
+            self.qvel + np.clip(by[:, nq:], -MOST_KICK, MOST_KICK),
+        )
 
 
 def cut_windows(qpos: np.ndarray, actions: np.ndarray, first: np.ndarray, length: int, stride: int) -> MatchingWindows:
@@ -95,30 +115,45 @@ class TrajectoryMatching:
     ) -> tuple[np.ndarray, float]:
         """Gauss-Newton with Huber weights over the parameters with the indices ``free``; none scores them as they are.
 
+        What first states could explain is projected out of the residuals, whose robust scale is measured anew in every
+        iteration; then the first states follow.
+
         Returns:
             The parameters and the robust scale of what is left, m or rad.
         """
-        m, seen = self.model, self.seen
-        n, nq = len(seen.qpos), m.nq
-        qpos, qvel = seen.qpos[:, 0].copy(), (seen.qpos[:, 1] - seen.qpos[:, 0]) / self.dt
-        target, p, scale = seen.qpos.reshape(n, -1), parameters.astype(float).copy(), 1.0
+        p, starts, scale = parameters.astype(float).copy(), self.seen_starts(), 1.0
         for _ in range(iterations):
-            base = self.replay(p, qpos, qvel)
-            left = target - base
-            steps = 1e-4 * np.eye(nq + m.nv)
-            S = np.stack([(self.replay(p, qpos + s[:nq], qvel + s[nq:]) - base) / 1e-4 for s in steps], -1)
-            J = [(self.replay(p + s, qpos, qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))[free]]
-            J = np.stack(J, -1) if J else np.zeros((*base.shape, 0))
-            Q = np.linalg.qr(S)[0]
-            r, K = (v - Q @ (Q.transpose(0, 2, 1) @ v) for v in (left[..., None], J))
+            left, S, J = self.linearise(p, free, starts)
+            r, K = (project_out(np.linalg.qr(S)[0], v) for v in (left[..., None], J))
             scale = 1.4826 * float(np.median(np.abs(r)))
-            weight = 1.0 / np.maximum(1.0, np.abs(r) / (3 * scale)) / scale**2
-            A = np.einsum("nij,nik->jk", K * weight, K) + ridge * np.eye(len(free))
-            move = np.linalg.solve(A, np.einsum("nij,ni->j", K * weight, r[..., 0]) - ridge * p[free])
+            weighted = K * (huber_weights(r, 3 * scale) / scale**2)
+            H, g = np.einsum("nij,nik->jk", weighted, K), np.einsum("nij,ni->j", weighted, r[..., 0])
+            move = np.linalg.solve(H + ridge * np.eye(len(free)), g - ridge * p[free])
             p[free] += move
-            start = np.einsum("nij,nj->ni", np.linalg.pinv(S), left - J @ move)
-            qpos, qvel = qpos + np.clip(start[:, :nq], -0.05, 0.05), qvel + np.clip(start[:, nq:], -1.0, 1.0)
+            starts = starts.moved(np.einsum("nij,nj->ni", np.linalg.pinv(S), left - J @ move))
         return p, scale
+
+    def seen_starts(self) -> WindowStarts:
+        """First states of all windows as they were seen, velocities as differences of positions."""
+        qpos = self.seen.qpos
+        return WindowStarts(qpos[:, 0].copy(), (qpos[:, 1] - qpos[:, 0]) / self.dt)
+
+    def linearise(
+        self, p: np.ndarray, free: np.ndarray, starts: WindowStarts
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What a replay leaves, and how the replay depends on first states and free parameters, by differences.
+
+        Returns:
+            Seen minus replayed positions (n, (H+1) nq), their slopes in first states (n, (H+1) nq, nq + nv) and in the
+            free parameters (n, (H+1) nq, free).
+        """
+        base = self.replay(p, starts.qpos, starts.qvel)
+        nq = starts.qpos.shape[1]
+        steps = 1e-4 * np.eye(nq + starts.qvel.shape[1])
+        S = [(self.replay(p, starts.qpos + s[:nq], starts.qvel + s[nq:]) - base) / 1e-4 for s in steps]
+        J = [(self.replay(p + s, starts.qpos, starts.qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))[free]]
+        left = self.seen.qpos.reshape(len(base), -1) - base
+        return left, np.stack(S, -1), np.stack(J, -1) if J else np.zeros((*base.shape, 0))
 
 
 @torch.no_grad()

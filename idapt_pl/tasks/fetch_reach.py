@@ -13,6 +13,7 @@ from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
 from idapt_pl.effects.packaged import packaged_file
 from idapt_pl.effects.visual import CAMERA, CameraFrame, CameraPose, Color, Light, Material
 from idapt_pl.tasks.indoors import indoors
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.tasks.task import Task
 
 COMMANDS = ("x", "y", "z", "gripper")
@@ -40,6 +41,7 @@ class FetchReach(Task):
     metric = "success"
     frame_skip = 20
     horizon = 50
+    expert = ExpertRecipe(steps=10_000, gamma=0.95)
     reach: ClassVar[float] = 0.05
     """Distance that counts as success [m]."""
     step_length: ClassVar[float] = 0.05

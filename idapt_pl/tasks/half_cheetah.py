@@ -10,6 +10,7 @@ from idapt_pl.effects.base import Effect
 from idapt_pl.effects.joints import JointArmature
 from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.locomotion import DM_CONTROL_LOOK, Locomotion
+from idapt_pl.tasks.recipe import ExpertRecipe
 
 JOINTS = ("bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot")
 
@@ -34,6 +35,7 @@ class HalfCheetah(Locomotion):
     frame_skip = 5
     xml = "half_cheetah.xml"
     control_cost = 0.1
+    expert = ExpertRecipe(steps=60_000)
 
     def base(self) -> mujoco.MjSpec:
         spec = super().base()

@@ -11,6 +11,7 @@ import numpy as np
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.domain import Domain
 from idapt_pl.effects.visual import CAMERA, CameraPose, Color, Light, Texture
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.tasks.task import Task
 
 
@@ -20,6 +21,7 @@ class InvertedPendulum(Task):
     name = "inverted_pendulum"
     frame_skip = 2
     horizon = 1000
+    expert = ExpertRecipe(steps=8_000, updates_per_step=2)
     rates: ClassVar[dict[int, int]] = {2: 0, 3: 1}
 
     def base(self) -> mujoco.MjSpec:

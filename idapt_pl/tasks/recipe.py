@@ -1,4 +1,4 @@
-"""How an expert of a task is trained."""
+"""How a policy on true states is trained on a task."""
 
 from __future__ import annotations
 

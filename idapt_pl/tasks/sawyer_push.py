@@ -12,6 +12,7 @@ from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.packaged import packaged_file
 from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.indoors import indoors
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.tasks.task import Task
 
 ARM = tuple(f"right_j{i}" for i in range(7))
@@ -40,6 +41,7 @@ class SawyerPush(Task):
     metric = "success"
     frame_skip = 75
     horizon = 70
+    expert = ExpertRecipe(steps=30_000, gamma=0.95)
     rates: ClassVar[dict[int, int]] = {7 + i: i for i in range(7)} | {16: 14, 17: 15}
     reach: ClassVar[float] = 0.06
     """Distance of puck and goal that counts as success [m]."""

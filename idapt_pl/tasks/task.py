@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects import Domain
+from idapt_pl.tasks.recipe import ExpertRecipe
 
 
 class Task(ABC):
@@ -22,6 +23,7 @@ class Task(ABC):
         rates: state component to the component it is the rate of change of.
         unseen: joints whose positions no state tells, as nothing depends on them.
         metric: what `evaluate` reports, ``"return"`` or ``"success"``.
+        expert: how a policy on true states is trained, for datasets, as a teacher and as a bound.
     """
 
     name: ClassVar[str]
@@ -29,6 +31,7 @@ class Task(ABC):
     action_repeat: ClassVar[int] = 1
     horizon: ClassVar[int]
     metric: ClassVar[str] = "return"
+    expert: ClassVar[ExpertRecipe] = ExpertRecipe(steps=50_000)
     rates: ClassVar[dict[int, int]] = {}
     unseen: ClassVar[tuple[str, ...]] = ()
 

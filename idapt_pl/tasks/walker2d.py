@@ -9,6 +9,7 @@ from idapt_pl.effects import Domain
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
 from idapt_pl.tasks.locomotion import DM_CONTROL_LOOK, Locomotion
+from idapt_pl.tasks.recipe import ExpertRecipe
 
 
 class Walker2d(Locomotion):
@@ -24,6 +25,7 @@ class Walker2d(Locomotion):
     alive = 1.0
     control_cost = 1e-3
     velocity_limit = 10.0
+    expert = ExpertRecipe(steps=100_000)
 
     def domains(self) -> dict[str, Domain]:
         # The source mass is set explicitly: 3.534 kg is what MuJoCo once computed for this capsule;

@@ -8,7 +8,7 @@ import sys
 import pytest
 from conftest import QUICK, ROOT
 
-from cli.fit import GroundingCLI, build
+from cli.fit import GroundingCLI
 from cli.main import COMMANDS, main
 from cli.provenance import claim
 from datamodules import read_trajectories
@@ -48,13 +48,13 @@ def overlays():
 def test_config_parses_and_its_modules_can_be_built(configs, tmp_path):
     args = [a for c in configs for a in ("--config", str(c))]
     cli = GroundingCLI([*args, "--run_dir", str(tmp_path / "run")])
-    grounding, run_dir = build(cli)
-    dimensions, bounds = grounding.worlds.dimensions, grounding.worlds.action_bounds
-    make = grounding.fit.make
+    made = cli.run()
+    dimensions, bounds = made.worlds.dimensions, made.worlds.action_bounds
+    make = made.context.make
     P_S, policy = make.state_predictor(**dimensions), make.policy(**dimensions, **bounds)
     make.visual(**dimensions).adopt(P_S.P_S)
     policy.start_from(P_S.P_S)
-    assert not run_dir.exists(), "building a run writes nothing"
+    assert not made.folder.exists(), "building a run writes nothing"
 
 
 def test_there_is_a_config_to_test():

@@ -209,6 +209,18 @@ def test_joint_effect_sets_its_field_where_asked(effect, field, values, nominal)
     assert changed(nominal, model) <= {field} | DERIVED
 
 
+@pytest.mark.parametrize(("target", "rest"), [("hinge", [0.0, 0.2]), ("slide", [0.2, 0.0])])
+@pytest.mark.parametrize("angle", ["degree", "radian"])
+def test_a_rest_position_is_in_radians_and_metres_whatever_the_model_writes(target, rest, angle):
+    spec = mujoco.MjSpec.from_string(MODEL.replace("<mujoco>", f"<mujoco><compiler angle='{angle}'/>"))
+    JointSpringref(target, 0.2).apply(spec)
+    np.testing.assert_allclose(spec.compile().qpos_spring, rest)
+
+
+def test_a_lag_in_front_of_a_dc_motor_is_not_written_into_the_model(nominal):
+    assert changed(nominal, compiled(ActuatorLag("dc", 0.03))) == set()
+
+
 def test_actuator_gain_scales_what_a_command_does(nominal):
     model = compiled(ActuatorGain("push", 0.8))
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import SensorGain
@@ -16,7 +17,6 @@ from idapt_pl.envs import VectorStateEnv
 from idapt_pl.image_diagnosis import discover_effects
 from idapt_pl.image_diagnosis.calibration import GAIN_STD, Calibration, calibrate, familiar_frames, reliable_channels
 from idapt_pl.image_diagnosis.forecasts import play_commands
-from idapt_pl.image_diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.image_diagnosis.windows import (

@@ -537,7 +537,7 @@ def test_familiar_states_cost_nothing_and_unfamiliar_ones_up_to_the_whole_cost()
     """Two states equally far from the mean: one along the data's spread, one across it."""
     module = sac(unfamiliarity_cost=0.5, action_cost=0.2)
     along = torch.linspace(-1, 1, 101)
-    module.know(torch.stack([along, along + 1e-2 * torch.sin(50 * along)], -1))
+    module.set_familiar_states(torch.stack([along, along + 1e-2 * torch.sin(50 * along)], -1))
     batch = {
         "rewards": torch.ones(3),
         "actions": torch.tensor([[0.0], [0.0], [3.0]]),

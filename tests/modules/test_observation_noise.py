@@ -49,7 +49,7 @@ def test_spread_is_as_asked():
 
 @pytest.mark.parametrize("settings", [{"misperception": 0.0}, {"misperception": 0.1, "encoder": "learned"}])
 def test_nothing_is_misperceived_where_nothing_is_estimated_or_asked_for(settings):
-    assert type(policy(**settings).perception(2, 0)) is NoObservationNoise
+    assert type(policy(**settings).observation_noise(2, 0)) is NoObservationNoise
 
 
 def test_jitter_keeps_the_mean_image_and_changes_each_one():

@@ -15,6 +15,14 @@ from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.result import (
+    Alternative,
+    DiagnosisResult,
+    EffectEstimate,
+    ErrorTable,
+    ParameterEstimate,
+    Verdict,
+)
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
@@ -294,16 +302,15 @@ def test_effects_and_units_are_those_of_their_target(blocks):
     assert unit_at(read_model(blocks).compile(), "x", "N·m or N") == "N"
 
 
-def made_report(verdict, effects=()):
-    error = {"before": 3.0, "after": 1.1, "removed_share": 0.97}
-    return {"verdict": verdict, "error": error, "effects": list(effects), "declared": []}
+def made_result(verdict, effects):
+    error = ErrorTable(5, 0.1, (0,), (1,), 3.0, 1.1, 1.0, 1.5, 0.97, 0.0, {})
+    return DiagnosisResult(Verdict(verdict), error, effects, (), (), "", "")
 
 
-FRICTION = {
-    "effect": "joint_frictionloss", "target": "shoulder",
-    "parameters": {"frictionloss": {"nominal": 0.0, "estimate": 10.1, "ci95": [9.8, 10.4], "unit": "N·m or N"}},
-    "equivalent": [{"effect": "actuator_gain", "target": "motor", "parameters": {"gain": 0.8}, "why": ""}],
-}  # fmt: skip
+FRICTION = EffectEstimate(
+    "joint_frictionloss", "shoulder", {"frictionloss": ParameterEstimate(0.0, 10.1, (9.8, 10.4), "N·m or N")},
+    equivalent=(Alternative("actuator_gain", "motor", {"gain": 0.8}, ""),),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -325,7 +332,7 @@ FRICTION = {
 )
 def test_every_verdict_has_its_sentence(verdict, effects, words):
     swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
-    assert words in " ".join(verdict_in_words(made_report(verdict, effects), swing))
+    assert words in " ".join(verdict_in_words(made_result(verdict, effects), swing))
 
 
 # --- bad input ------------------------------------------------------------------------------------------
@@ -458,7 +465,7 @@ def test_help_teaches(capsys):
     for words in ("examples:", "idapt diagnose --model nominal.xml", "--hold-out", "report.html"):
         assert words in printed, words
     assert "(default: None)" not in printed
-    assert "idapt diagnose" in (ROOT / "docs" / "diagnose.md").read_text()
+    assert "idapt diagnose" in (ROOT / "docs" / "guide" / "diagnose.md").read_text()
 
 
 def test_episodes_are_listed_where_they_are_few():

@@ -14,7 +14,7 @@ from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.exploration import EXPLORATION, random_policy
 from idapt_pl.rl.grounded_rollout import garat_rollout
 from idapt_pl.rl.returns import evaluate
-from idapt_pl.stages.fitting import keep_better
+from idapt_pl.stages.policy import keep_better
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ class Remembering:
     def remember(self, pixels):
         return {"observation": pixels}
 
-    def perception(self, num_envs, seed):
+    def observation_noise(self, num_envs, seed):
         return NoObservationNoise()
 
     def act_on(self, seen):

@@ -8,15 +8,13 @@ import pytest
 import torch
 
 from cli.main import main
-from cli.trainers import plain_trainer
 from datamodules import read_trajectories
 from datamodules.trajectories import content_hash
 from idapt_pl.envs import VectorImageEnv, VectorStateEnv
 from idapt_pl.modules import StateSAC
-from idapt_pl.rl import experts
 from idapt_pl.rl.experts import measure_expert, train_expert
-from idapt_pl.stage import Stages
-from idapt_pl.tasks import make_task
+from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.tasks import HalfCheetah, make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 
 QUICK = ExpertRecipe(steps=40, warmup_steps=20, num_envs=2, batch=8)
@@ -41,7 +39,7 @@ def test_state_environment_plays_as_the_image_environment_does(cart):
 
 def test_expert_is_trained_once_and_the_same_each_time(cart, tmp_path):
     def train(folder):
-        return train_expert(cart, cart.domain("source"), QUICK, Stages(folder, 0, plain_trainer), "policy")
+        return train_expert(cart, cart.domain("source"), QUICK, Stages(folder, 0, cpu_trainer), "policy")
 
     first, kept, again = train(tmp_path / "a"), train(tmp_path / "a"), train(tmp_path / "b")
     for other in (kept, again):
@@ -63,7 +61,7 @@ def test_states_are_standardised_for_actor_and_critics_alike():
 def test_state_sac_balances_the_pole(tmp_path):
     task = make_task("inverted_pendulum")
     recipe = ExpertRecipe(steps=5000)
-    policy = train_expert(task, task.domain("source"), recipe, Stages(tmp_path, 0, plain_trainer), "policy")
+    policy = train_expert(task, task.domain("source"), recipe, Stages(tmp_path, 0, cpu_trainer), "policy")
     assert measure_expert(policy, task, task.domain("source"), 5, seed=0).mean > 900
 
 
@@ -76,8 +74,7 @@ def collected(tmp_path, name, *args):
 
 @pytest.fixture
 def quick_experts(monkeypatch):
-    monkeypatch.setattr(experts, "RECIPES", experts.RECIPES)
-    monkeypatch.setitem(experts.RECIPES, "half_cheetah", QUICK)
+    monkeypatch.setattr(HalfCheetah, "expert", QUICK)
 
 
 @pytest.mark.parametrize("domain", ["source", "hard"])

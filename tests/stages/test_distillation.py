@@ -9,14 +9,12 @@ import torch
 from conftest import TINY
 
 from cli.main import main
-from cli.trainers import plain_trainer
 from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.report.run_record import ORDER
-from idapt_pl.rl import experts
-from idapt_pl.stage import Stages
+from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.stages.distillation import (
     LABELLED,
     DaggerExperience,
@@ -142,9 +140,9 @@ def test_an_environment_of_states_plays_as_the_grounded_source_behind_it(cart):
 @pytest.fixture
 def teaching(cart, tmp_path, monkeypatch):
     recipe = ExpertRecipe(steps=1, warmup_steps=10, num_envs=2, batch=8)
-    monkeypatch.setitem(experts.RECIPES, "cart", recipe)
+    monkeypatch.setattr(type(cart), "expert", recipe)
     worlds = Worlds(cart, cart.domain("source"), cart.domain("hard"), Ledger(tmp_path / "ledger.json"), 16, 2)
-    stages = Stages(tmp_path, 0, plain_trainer)
+    stages = Stages(tmp_path, 0, cpu_trainer)
     return Distillation(worlds, stages, TeacherSettings(20, 20, 20), num_envs=2, batch=8, memory=100)
 
 
@@ -154,7 +152,7 @@ def test_the_teacher_goes_on_where_the_dynamics_are_new_and_only_there(teaching,
     first = teaching.expert
     student(0, "")
     assert teaching.expert is first, "G alone changes no dynamics"
-    teaching.worlds.repair([])
+    teaching.worlds.add_effects([])
     assert type(source) is AsymmetricSAC and not list(tmp_path.rglob("step_00/teacher"))
 
     class Halving(torch.nn.Module):

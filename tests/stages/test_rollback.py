@@ -3,6 +3,7 @@
 import ast
 import json
 import shutil
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -22,12 +23,11 @@ from idapt_pl.estimation.energy import energy_distance
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.transition_distance import half_of_episodes, transition_residual
-from idapt_pl.stages.fitting import Fitting
+from idapt_pl.stages.policy import fit_grounded_policy
 from idapt_pl.stages.rollback import (
     TransitionSample,
     bootstrap_comparison,
     compare_transformations,
-    rollback_sentence,
     unpredicted_change,
 )
 from idapt_pl.worlds import Worlds
@@ -82,17 +82,15 @@ def sample(n, shift=0.0, seed=0, piece=10):
 def test_the_distance_is_the_energy_distance_where_every_transition_is_a_piece():
     x, y = sample(40, 0.5, 1, 1), sample(30, 0.0, 2, 1)
     result = bootstrap_comparison(x, x, y, 0)
-    assert result["before"] == pytest.approx(energy_distance(x.values, y.values), abs=1e-4)
-    assert result["worse_by"] == 0.0 and not result["rolled_back"]
+    assert result.before == pytest.approx(energy_distance(x.values, y.values), abs=1e-4)
+    assert result.worse_by == 0.0 and not result.rolled_back
 
 
 def test_clearly_worse_is_rolled_back_and_better_or_the_same_is_not():
     real = sample(200, 0.0, 1)
-    assert bootstrap_comparison(sample(600, 0.0, 2), sample(600, 0.8, 3), real, 0)["rolled_back"]
-    assert not bootstrap_comparison(sample(600, 0.8, 3), sample(600, 0.0, 2), real, 0)["rolled_back"]
-    assert not bootstrap_comparison(sample(600, 0.1, 4), sample(600, 0.05, 5), real, 0)["rolled_back"], (
-        "slightly better"
-    )
+    assert bootstrap_comparison(sample(600, 0.0, 2), sample(600, 0.8, 3), real, 0).rolled_back
+    assert not bootstrap_comparison(sample(600, 0.8, 3), sample(600, 0.0, 2), real, 0).rolled_back
+    assert not bootstrap_comparison(sample(600, 0.1, 4), sample(600, 0.05, 5), real, 0).rolled_back, "slightly better"
 
 
 def test_chance_alone_seldom_rolls_back():
@@ -103,9 +101,7 @@ def test_chance_alone_seldom_rolls_back():
         return TransitionSample(torch.from_numpy(values).float(), np.arange(pieces * size) // size)
 
     rng = np.random.default_rng(0)
-    wrong = sum(
-        bootstrap_comparison(drawn(rng, 30), drawn(rng, 30), drawn(rng, 8), i)["rolled_back"] for i in range(100)
-    )
+    wrong = sum(bootstrap_comparison(drawn(rng, 30), drawn(rng, 30), drawn(rng, 8), i).rolled_back for i in range(100))
     assert wrong <= 8
 
 
@@ -185,17 +181,17 @@ def decide(worlds, tmp_path):
 def test_sabotaged_action_transformations_are_rolled_back(decide):
     for sabotaged in (make_F(gain=-0.5), make_F(gain=0.5, bias=0.5)):
         result = decide(sabotaged, make_F(gain=0.5))
-        assert result["rolled_back"] and result["after"] > result["before"], str(result)
-        assert "rolled back" in rollback_sentence(result)
+        assert result.rolled_back and result.after > result.before, str(result)
+        assert "rolled back" in result.sentence
 
 
 def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
     same = decide(make_F(), None)
-    assert not same["rolled_back"] and same["worse_by"] == 0 and same["ci95"][0] < 0 < same["ci95"][1]
+    assert not same.rolled_back and same.worse_by == 0 and same.ci95[0] < 0 < same.ci95[1]
     better = decide(make_F(gain=0.5), None)
-    assert not better["rolled_back"] and better["after"] < better["before"]
-    assert not decide(make_F(gain=0.55), make_F(gain=0.6))["rolled_back"], "a little better"
-    assert "kept" in rollback_sentence(better)
+    assert not better.rolled_back and better.after < better.before
+    assert not decide(make_F(gain=0.55), make_F(gain=0.6)).rolled_back, "a little better"
+    assert "kept" in better.sentence
 
 
 def test_the_residual_is_the_same_for_the_identity_and_falls_beyond_its_spread_for_what_is_right(worlds, tmp_path):
@@ -250,15 +246,14 @@ def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repea
         seen.append((F_before, target))
         policies.append(pi)
         real = compare_transformations(worlds, pi, G, F, F_before, target, seed)
-        return real | {"rolled_back": len(seen) == 1}  # the first step is, the second is not
+        return replace(real, rolled_back=len(seen) == 1)  # the first step is, the second is not
 
-    def watched(self, step, steps, G, F, initial):
+    def watched(context, step, steps, G, F, initial):
         trained_with.append(F is not None)
-        return grounded_policy(self, step, steps, G, F, initial)
+        return fit_grounded_policy(context, step, steps, G, F, initial)
 
-    grounded_policy = Fitting.grounded_policy
-    monkeypatch.setattr(Fitting, "grounded_policy", watched)
-    monkeypatch.setattr("idapt_pl.grounding.compare_transformations", worse)
+    monkeypatch.setattr("idapt_pl.grounding.fit_grounded_policy", watched)
+    monkeypatch.setattr("idapt_pl.stages.rollback.compare_transformations", worse)
     shutil.copytree(finished_run / "step_00", run / "step_00")
     assert main(["fit", *tiny_args(run, schedule__rollback="true")]) == 0
     assert trained_with == [False, False, True]

@@ -2,11 +2,11 @@
 
 from contextlib import closing
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
 
-import gymnasium
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.differences import differences
 from idapt_pl.envs import VectorImageEnv

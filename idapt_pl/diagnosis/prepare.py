@@ -1,0 +1,95 @@
+"""From recordings to a search that has not looked for anything yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from datamodules import Trajectories
+from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
+from idapt_pl.diagnosis.context import Progress, SearchContext
+from idapt_pl.diagnosis.data import Recording, as_recordings
+from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows
+from idapt_pl.diagnosis.model import name_elements
+from idapt_pl.diagnosis.noise import Noise, estimate_noise
+from idapt_pl.diagnosis.search_state import SearchState, first_state
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.effects.base import Effect
+from idapt_pl.effects.candidate import Candidate
+
+
+def begin_search(
+    model: mujoco.MjSpec, trajectories: Trajectories, declared: Sequence[Effect] = (),
+    fit: Sequence[int] | None = None, hold_out: Sequence[int] | None = None, candidates: Sequence[str] | None = None,
+    seed: int = 0, settings: SearchSettings = DEFAULT_SETTINGS, progress: Progress = lambda what, done: None,
+    threads: int | None = None, unmeasured: Sequence[str] = (), noise: Noise | None = None,
+) -> tuple[SearchContext, SearchState]:  # fmt: skip
+    """A search that has not looked for anything yet. Arguments as for :func:`~idapt_pl.diagnosis.diagnose`."""
+    model, declared = name_elements(model.copy()), tuple(declared)
+    data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
+    splits = split_episodes(activity(data), fit, hold_out)
+    sim = Simulator(model, data, velocities, threads, unmeasured)
+    probe = noise_windows(sim, splits[0], seed)
+    first_noise = noise or estimate_noise(sim, declared, probe)
+    steps = choose_horizon(sim, declared, first_noise, splits, seed)
+    sizes = typical_sizes(sim.model, data, steps * sim.control_period)
+    considered = choose_candidates(all_candidates(model, sizes), candidates)
+    context = SearchContext(sim, declared, considered, *splits, steps, probe, noise, seed, settings, progress)
+    return context, first_state(context, first_noise)
+
+
+def activity(data: Sequence[Recording]) -> np.ndarray:
+    """How lively each episode is: rms of its velocities, in units of what is usual for each of them; (episodes,)."""
+    squares = np.stack([np.square(r.qvel).mean(0) for r in data])
+    return np.sqrt((squares / (squares.mean(0) + 1e-12)).mean(1))
+
+
+def split_episodes(
+    lively: np.ndarray, fit: Sequence[int] | None, hold_out: Sequence[int] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Episodes to fit and to judge on.
+
+    By default every fourth in the order of their liveliness is held out, so that both parts have calm and lively ones,
+    whatever the order in which they were recorded.
+
+    Args:
+        lively: of each episode, as of :func:`activity`.
+        fit: numbers of the episodes to fit on, if not all that are not held out.
+        hold_out: numbers of the episodes to judge on, if not the others.
+
+    Raises:
+        ValueError: there is no such episode, one is in both parts, or none is left for one of them.
+    """
+    n = len(lively)
+    for name, chosen in (("fit", fit), ("hold-out", hold_out)):
+        for e in chosen or ():
+            if not 0 <= e < n:
+                raise ValueError(f"--{name}: there is no episode {e}; the recording has 0 to {n - 1}")
+    if hold_out is None:
+        ranked = np.argsort(lively, kind="stable")
+        hold_out = np.sort(ranked[n // 2 % 4 :: 4]) if fit is None else np.setdiff1d(ranked, fit)
+    if fit is None:
+        fit = np.setdiff1d(np.arange(n), hold_out)
+    fit, hold_out = np.asarray(fit, int), np.asarray(hold_out, int)
+    if both := np.intersect1d(fit, hold_out).tolist():
+        raise ValueError(f"episodes {both} are both to be fitted and held out")
+    if not len(fit) or not len(hold_out):
+        raise ValueError(f"{n} episodes leave none to {'fit' if not len(fit) else 'hold out'}; at least two are needed")
+    return fit, hold_out
+
+
+def choose_candidates(found: Sequence[Candidate], names: Sequence[str] | None) -> list[Candidate]:
+    """The candidates with these effect names (all for None).
+
+    Raises:
+        ValueError: no candidate has such a name; it says which there are.
+    """
+    if names is None:
+        return list(found)
+    known = sorted({c.kind.name for c in found})
+    if unknown := sorted(set(names) - set(known)):
+        raise ValueError(f"unknown candidate {unknown[0]!r}; this model has: {', '.join(known)}")
+    return [c for c in found if c.kind.name in names]

@@ -1,0 +1,45 @@
+"""How hard a search looks, and how sure it must be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How hard to look, and how sure to be.
+
+    Args:
+        max_effects: stop after so many.
+        scout_windows: windows on which every candidate is scored.
+        screened: candidates scored again on more windows.
+        screen_windows: windows for that, and for the first refits.
+        confirm: candidates refitted in each round.
+        refined: of these, refitted once more without shortcuts and judged on held-out episodes.
+        fit_windows: windows for fits of what was accepted.
+        held_out_windows: windows to judge on.
+        relative_gain: an effect must remove at least this share of the whole error (squared) ...
+        removable_gain: ... and of what is above the noise floor.
+        sureness: lower confidence bound of the held-out gain, in standard errors.
+        z: of the score, in standard deviations under the null, family-wise.
+        seconds: aim for no more than this on two cores.
+        numerics: try other time steps and integrators too.
+    """
+
+    max_effects: int = 4
+    scout_windows: int = 40
+    screened: int = 16
+    screen_windows: int = 100
+    confirm: int = 8
+    refined: int = 5
+    fit_windows: int = 250
+    held_out_windows: int = 250
+    relative_gain: float = 0.02
+    removable_gain: float = 0.05
+    sureness: float = 1.2
+    z: float = 4.5
+    seconds: float = 60.0
+    numerics: bool = True
+
+
+DEFAULT_SETTINGS = SearchSettings()

@@ -1,0 +1,287 @@
+"""A run: what its config says, and what its folder holds. Made by ``idapt fit``, opened by everything else."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import numpy as np
+import yaml
+from jsonargparse import ArgumentParser, Namespace
+
+from idapt_pl.effects import View, effect_from_dict
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.evaluation.evaluation import Evaluation
+from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.image_diagnosis import DiscoverySettings
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor, Vision
+from idapt_pl.rendering.parallel import usual_processes
+from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
+from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.distillation import Distillation, TeacherSettings
+from idapt_pl.stages.schedule import Schedule
+from idapt_pl.stages.settings import BatchSettings, ModuleFactories
+from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.worlds import Worlds
+
+DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
+"""Constructor arguments that the task and the data determine, never typed in a config."""
+
+MODULES: dict[str, type[L.LightningModule]] = {
+    "state_predictor": StatePredictor,
+    "visual": VisualTransformation,
+    "dynamics": ActionTransformation,
+    "policy": AsymmetricSAC,
+}
+"""What is learned, by its key in a config."""
+
+SETTINGS: dict[str, type] = {
+    "view": View,
+    "schedule": Schedule,
+    "effects": DiscoverySettings,
+    "feeding": BatchSettings,
+    "teacher": TeacherSettings,
+    "vision": Vision,
+}
+"""Everything else that a config sets, by its key."""
+
+
+RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}}
+"""Keys that older configs have, and the value at which leaving them out changes nothing."""
+
+
+def without_retired(entries: dict[str, Any]) -> dict[str, Any]:
+    """A config without keys that are gone, unless they say something; then the parser names them."""
+    kept = dict(entries)
+    for name, keys in RETIRED.items():
+        if isinstance(kept.get(name), dict):
+            kept[name] = {k: v for k, v in kept[name].items() if k not in keys or v != keys[k]}
+    return kept
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One config key for each thing there is.
+
+    Attributes:
+        task: name of the task.
+        target: name of the target domain.
+        seed: root seed; every stage derives its own.
+        run_dir: run folder; None for ``runs/<task>_<target>_<seed>``.
+        image_size: side of the rendered images, pixels.
+        frame_stack: K, frames in an observation.
+        render_processes: further processes that render; None for one on each core but one, at most 3.
+        episodes: for each reported return.
+        oracle: also train the oracle reference in the target.
+        view: the part of the camera's image that is rendered.
+        schedule: what Algorithm 1 does, and for how long.
+        effects: whether effects are sought that the source lacks.
+        feeding: sizes of batches and rollouts.
+        teacher: a privileged teacher, if there is one.
+        vision: how images are looked at.
+        modules: constructor arguments of each of :data:`MODULES`.
+    """
+
+    task: str
+    target: str
+    seed: int
+    run_dir: str | None
+    image_size: int
+    frame_stack: int
+    render_processes: int | None
+    episodes: int
+    oracle: bool
+    view: View
+    schedule: Schedule
+    effects: DiscoverySettings
+    feeding: BatchSettings
+    teacher: TeacherSettings
+    vision: Vision
+    modules: dict[str, dict[str, Any]]
+
+    @staticmethod
+    def add_arguments(parser: ArgumentParser) -> None:
+        """Give a parser an option for every key."""
+        parser.add_argument("--seed", type=int, default=0, help="root seed; every stage derives its own")
+        parser.add_argument("--run_dir", type=str, default=None, help="run folder; default runs/<task>_<target>_<seed>")
+        parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
+        parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
+        parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
+        parser.add_argument(
+            "--render_processes",
+            type=int | None,
+            default=None,
+            help="further processes that render where several simulations run side by side; default one for each core "
+            "but one, at most 3. Images do not depend on it",
+        )
+        parser.add_class_arguments(View, "view")
+        parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
+        parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
+        parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
+        for name, settings in SETTINGS.items():
+            if name != "view":
+                parser.add_class_arguments(settings, name)
+        for name, module in MODULES.items():
+            skip = DIMENSIONS | ({"encoder"} if name == "dynamics" else set())
+            parser.add_class_arguments(module, name, skip=skip, instantiate=False)
+
+    @classmethod
+    def from_namespace(cls, config: Namespace) -> RunConfig:
+        """From what a parser with these options instantiated.
+
+        Raises:
+            ValueError: if settings contradict each other.
+        """
+        values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
+        made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
+        made.check_encoder()
+        return made
+
+    @classmethod
+    def read(cls, folder: Path) -> RunConfig:
+        """The config of a run folder; keys that its version did not know yet have their defaults.
+
+        Raises:
+            ValueError: if it is no run folder, or its config makes no sense.
+        """
+        path = folder / "config.yaml"
+        if not path.is_file():
+            raise ValueError(
+                f"{folder} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote."
+            )
+        parser = ArgumentParser(exit_on_error=False)
+        cls.add_arguments(parser)
+        known = {*cls.__dataclass_fields__, *MODULES} - {"modules"}
+        entries = {k: v for k, v in without_retired(yaml.safe_load(path.read_text())).items() if k in known}
+        config = parser.parse_object(entries | {"run_dir": str(folder)})
+        return cls.from_namespace(parser.instantiate_classes(config))
+
+    def check_encoder(self) -> None:
+        """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
+
+        Raises:
+            ValueError: if another one is to be.
+        """
+        encoder = self.modules["policy"]["encoder"]
+        for name in ("pretrain", "finetune"):
+            batches = getattr(self.schedule, name).estimator
+            if batches and encoder != "supervised":
+                raise ValueError(
+                    f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
+                    "only a supervised encoder is regressed on states. Set one or the other."
+                )
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        return Path(self.run_dir or f"runs/{self.task}_{self.target}_{self.seed}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that can be trained, resumed, or looked into.
+
+    Attributes:
+        config: what it was started with.
+        context: what all its stages share.
+    """
+
+    config: RunConfig
+    context: StageContext
+
+    @classmethod
+    def create(cls, config: RunConfig, make_trainer: MakeTrainer = cpu_trainer) -> Run:
+        """The run that a config describes; nothing is written yet.
+
+        Args:
+            config: of the run.
+            make_trainer: stage folder and number of batches to a fresh Trainer.
+
+        Raises:
+            ValueError: an unknown task or target, or a task whose states the config's settings cannot work with.
+        """
+        task = make_task(config.task)
+        ledger = Ledger(config.folder / "ledger.json")
+        processes = usual_processes() if config.render_processes is None else config.render_processes
+        worlds = Worlds(
+            task, task.domain("source"), task.domain(config.target), ledger,
+            config.image_size, config.frame_stack, config.view, processes,
+        )  # fmt: skip
+        if config.effects.discover:  # better said before hours of G
+            task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
+        stages, b = Stages(config.folder, config.seed, make_trainer), config.feeding
+        teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
+        return cls(config, StageContext(worlds, stages, module_factories(config), b, teacher))
+
+    @classmethod
+    def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:
+        """The run of a folder, finished or not, its source with the effects that it has found so far.
+
+        Raises:
+            ValueError: if it is no run folder.
+        """
+        run = cls.create(RunConfig.read(folder), make_trainer)
+        for path in [*folder.glob("step_00/looks.json"), *sorted(folder.glob("step_*/effects.json"))]:
+            run.worlds.add_effects(effect_from_dict(e) for e in json.loads(path.read_text())["effects"])
+        return run
+
+    @property
+    def worlds(self) -> Worlds:
+        """Its environments."""
+        return self.context.worlds
+
+    @property
+    def folder(self) -> Path:
+        """Its folder."""
+        return self.context.stages.run_dir
+
+    def step_folder(self, k: int) -> Path:
+        """Folder of a grounding step."""
+        return self.context.stages.folder(k)
+
+    @functools.cached_property
+    def evaluation(self) -> Evaluation:
+        """What measures it."""
+        return Evaluation(self.worlds, self.context.stages, self.config.episodes, self.config.target)
+
+    @functools.cached_property
+    def grounding(self) -> IterativeGrounding:
+        """Algorithm 1, to be run or resumed."""
+        return IterativeGrounding(self.context, self.evaluation, self.config.schedule, self.config.effects)
+
+    def load_policy(self, checkpoint: Path) -> AsymmetricSAC:
+        """A policy from its checkpoint (weights only, nothing is unpickled)."""
+        return load_finished(self.context.new_policy(), checkpoint)
+
+    def load_visual(self, checkpoint: Path | None = None) -> VisualTransformation:
+        """G and P^T of a checkpoint, by default of the last grounding step that has them.
+
+        Raises:
+            ValueError: if there is none yet.
+        """
+        made = sorted(self.folder.glob("step_*/visual/final.ckpt"))
+        if not made and checkpoint is None:
+            raise ValueError(
+                f"{self.folder} has no finished visual stage yet; resume it: "
+                f"idapt fit --config {self.folder / 'config.yaml'}"
+            )
+        return load_finished(self.context.make.visual(**self.worlds.dimensions), checkpoint or made[-1])
+
+    def load_estimator(self) -> PixelStatePredictor:
+        """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
+        G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
+        return self.load_policy(made[-1]).estimator(G) if made else G.P_T
+
+
+def module_factories(config: RunConfig) -> ModuleFactories:
+    """Constructors of the modules with everything set that a config sets."""
+    made: dict[str, Callable] = {name: functools.partial(m, **config.modules[name]) for name, m in MODULES.items()}
+    for name in ("state_predictor", "visual", "policy"):
+        made[name] = functools.partial(made[name], vision=config.vision)
+    return ModuleFactories(**made)

@@ -1,0 +1,70 @@
+"""The recordings of a run: task-agnostic data D^S and D^T, and what the policy does in target and grounded source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import torch
+
+from datamodules import Trajectories
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
+from idapt_pl.rl.policy import Policy
+from idapt_pl.stages.context import StageContext
+
+MakePolicy = Callable[[int], Policy]
+"""Seed to policy."""
+
+
+def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) -> Policy:
+    """The policy that collects D^S and D^T before there is one for the target, by its name in ``schedule``."""
+    if exploration == "rehearse":
+        teacher = source_teacher(c)
+        torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
+        return OpenLoopReplay(teacher, VectorStateEnv(c.worlds.task, c.worlds.task.domain("source"), num_envs), seed)
+    with closing(c.worlds.source(num_envs)) as env:
+        return EXPLORATION[exploration](env, seed)
+
+
+def source_teacher(c: StageContext):
+    """The teacher as it is before any grounding; training it is a stage of its own."""
+    return c.teacher.of_the_source(c.new_policy)
+
+
+def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) -> Path:
+    """``target.h5`` of a grounding step: so many control steps in the target, images and actions, on the ledger."""
+
+    def make(seed: int) -> Trajectories:
+        with closing(c.worlds.blind_target(k)) as env:
+            return collect(env, make_policy(seed), steps, seed, f"{c.worlds.task.name} target, step {k}")
+
+    path, taken = c.stages.record(k, "target", make)
+    c.worlds.ledger.enter(k, "training", taken)
+    return path
+
+
+def record_source(
+    c: StageContext,
+    k: int,
+    make_policy: MakePolicy,
+    steps: int,
+    G: VisualTransformation | None = None,
+    F: ActionTransformation | None = None,
+    name: str = "source",
+) -> Path:
+    """``<name>.h5`` of a grounding step: source images and states, of a policy in the source behind G and F."""
+
+    def make(seed: int) -> Trajectories:
+        env = c.worlds.grounded(1, G, F)
+        return collect(env, make_policy(seed), steps, seed, f"{c.worlds.task.name} source, step {k}", "source_pixels")
+
+    return c.stages.record(k, name, make)[0]
+
+
+def on_policy(pi: AsymmetricSAC) -> MakePolicy:
+    """π itself, sampling its actions."""
+    return lambda seed: pi.act

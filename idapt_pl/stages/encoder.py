@@ -1,0 +1,39 @@
+"""The stage of π's encoder, where it is an estimator of states: regressed on source images as G shows them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from datamodules import Trajectories
+from datamodules.unpaired import read_all
+from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.state_predictor import fit_P_S
+
+
+def fit_encoder(
+    c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC
+) -> AsymmetricSAC:
+    """π with its encoder regressed on all labelled source images, as G shows them; 0 batches leave π as it is.
+
+    While π trains it meets few states, near those it holds. F and the next policies need estimates that are right
+    wherever G has data.
+    """
+    if not batches:
+        return pi
+
+    def translated(seed: int) -> Trajectories:
+        seen = read_all(source, also="state")
+        episodes = tuple(G.translate_episode(episode) for episode in seen)
+        return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
+
+    data, _ = c.stages.record(step, "translated", translated)
+    pi = copy.deepcopy(pi)
+    estimator = c.make.state_predictor(**c.worlds.dimensions)
+    estimator.P_S.load_state_dict(pi.actor.encoder.state_dict())
+    estimator = fit_P_S(c, step, [data], batches, estimator, "estimator")
+    pi.actor.encoder.load_state_dict(estimator.P_S.state_dict())
+    return pi

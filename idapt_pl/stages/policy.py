@@ -1,0 +1,131 @@
+"""The stages of π: SAC in the source and in the grounded source (Section IV-D), after a teacher if there is one."""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import torch
+from gymnasium.vector import VectorEnv
+
+from datamodules import ReplayBuffer, ReplayDataModule
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.rl.experience import Experience
+from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.returns import evaluate
+from idapt_pl.stages.context import StageContext
+
+log = logging.getLogger(__name__)
+
+
+def fit_source_policy(c: StageContext, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
+    """π by SAC (or first a teacher) in the plain source: where everything starts, and what is transferred directly.
+
+    Args:
+        c: of the run.
+        steps: environment steps of SAC.
+        P_S: a supervised encoder starts as its copy.
+        source: the task-agnostic data, which tell π and its successors what states are familiar.
+    """
+
+    def make_env(device: torch.device) -> VectorEnv:
+        return c.worlds.source(c.batches.num_envs)
+
+    initial: AsymmetricSAC | PixelStatePredictor = P_S.P_S
+    if c.teacher.settings.steps:
+        initial = c.teacher.student(0, "source_", lambda: c.new_policy(P_S.P_S), make_env)
+    return fit_policy(c, 0, "source_policy", make_env, steps, initial, source)
+
+
+def fit_grounded_policy(
+    c: StageContext, step: int, steps: int, G: VisualTransformation, F: ActionTransformation | None, pi: AsymmetricSAC
+) -> AsymmetricSAC:
+    """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
+
+    With ``feeding.trial_episodes`` it is put back to what it was if its training did not help in the grounded source.
+    """
+
+    def make_env(device: torch.device) -> VectorEnv:
+        return c.worlds.grounded(c.batches.num_envs, G.to(device), F.to(device) if F is not None else None)
+
+    initial = pi
+    if c.teacher.settings.steps:
+        initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)
+
+    def finish(policy: AsymmetricSAC, device: torch.device) -> dict:
+        episodes = c.batches.trial_episodes
+        return keep_better(policy, initial, make_env(device), episodes) if episodes else {}
+
+    return fit_policy(c, step, "policy", make_env, steps, initial, finish=finish)
+
+
+def fit_policy(
+    c: StageContext,
+    step: int,
+    name: str,
+    make_env: Callable[[torch.device], VectorEnv],
+    steps: int,
+    initial: AsymmetricSAC | PixelStatePredictor,
+    familiar: Sequence[Path] = (),
+    finish: Callable[[AsymmetricSAC, torch.device], dict] = lambda policy, device: {},
+) -> AsymmetricSAC:
+    """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor.
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        name: of the stage.
+        make_env: the environment, with states and rewards.
+        steps: environment steps.
+        initial: what π starts from.
+        familiar: trajectory files whose states are familiar; none leaves what π knows.
+        finish: as of :meth:`~idapt_pl.stage.Stages.fit`.
+    """
+    b = c.batches
+    fresh = isinstance(initial, PixelStatePredictor)
+
+    def feed(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
+        if familiar:
+            states = FrameStacks(read_all(familiar), 1, labels="state").labels
+            module.set_familiar_states(torch.from_numpy(states).to(device))
+        env = make_env(device)
+        buffer = ReplayBuffer(min(b.buffer_size, b.warmup_steps + steps), seed)
+        warm_up = Experience(env, module, seed, random=fresh)
+        for _ in range(int(np.ceil(b.warmup_steps / b.num_envs))):
+            buffer.add(warm_up())
+        return ReplayDataModule(
+            Experience(env, module, seed + 1),
+            buffer,
+            b.policy_batch,
+            updates_per_batch=b.updates_per_step * b.num_envs,
+            batches=steps // b.num_envs,
+            image_batches=round(module.hparams.estimator_updates * b.num_envs) if module.supervised else 0,
+            image_batch_size=module.hparams.estimator_batch,
+        )
+
+    return c.stages.fit(step, name, lambda: c.new_policy(initial), feed, steps // b.num_envs, finish)
+
+
+def keep_better(policy: AsymmetricSAC, before: AsymmetricSAC, env: VectorEnv, episodes: int) -> dict:
+    """Put a policy back to what it was before its training if that does better in the environment it trained in.
+
+    SAC can unlearn: one that holds still for long forgets what to do when it does not.
+
+    Returns:
+        Mean returns (or successes) with the mean action: ``trial_before``, ``trial_after``; ``kept``, which of them.
+    """
+    with closing(env):
+        tried = (copy.deepcopy(before).to(policy.device), policy)
+        means = [evaluate(env, deterministic(p), episodes, seed=0).mean for p in tried]
+    kept = "before" if means[0] > means[1] else "after"
+    if kept == "before":
+        policy.load_state_dict(before.state_dict())
+        log.info("the policy is kept as it was: %.1f in the grounded source, after more training %.1f", *means)
+    return {"trial_before": means[0], "trial_after": means[1], "kept": kept}

@@ -1,0 +1,70 @@
+"""Effects that the target's images show the source to lack, found and added to it between the stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from idapt_pl.appearance import discover_visual_effects
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.files import write_yaml
+from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
+from idapt_pl.image_diagnosis.sensor import ImageSensor
+from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.stages.context import StageContext
+
+
+@dataclass(frozen=True)
+class SourceRepair:
+    """Looks for effects in the target's recordings, and adds what it finds to the run's source. Off by default.
+
+    Attributes:
+        context: of the run.
+        settings: whether and what to look for.
+        record_control: grounding step to a new recording of the source as it is, from exploration, with states.
+    """
+
+    context: StageContext
+    settings: DiscoverySettings
+    record_control: Callable[[int], Path]
+
+    def visual_effects(self, D_T: Path) -> None:
+        """Add the visual effects that the first frames of the target's episodes show the source to lack."""
+        if not self.settings.looks:
+            return
+        worlds = self.context.worlds
+
+        def make(seed: int) -> dict:
+            return discover_visual_effects(worlds.task, worlds.source_domain, D_T, seed, worlds.view).to_dict()
+
+        self._add(0, self.context.stages.measure(0, "looks", make)["effects"])
+
+    def physical_effects(self, k: int, D_T: Sequence[Path], G: VisualTransformation, pi: AsymmetricSAC) -> bool:
+        """Add the physical effects that the target's images show the source to lack. Returns whether there were any.
+
+        Images are read by π's estimator. What it makes of new recordings of the source says how well.
+        """
+        if not self.settings.discover:
+            return False
+        worlds = self.context.worlds
+        target = list(D_T) if k == 0 else [D_T[0], D_T[-1]]
+        control = self.record_control(k)
+        sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
+
+        def make(seed: int) -> dict:
+            found = discover_effects(
+                worlds.source_domain, sensor, G, target, [control], self.settings, seed, worlds.image_env
+            )
+            return found.to_dict()
+
+        found = self.context.stages.measure(k, "effects", make)["effects"]
+        self._add(k, found)
+        return bool(found)
+
+    def _add(self, k: int, found: list[dict]) -> None:
+        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them."""
+        worlds, stages = self.context.worlds, self.context.stages
+        worlds.add_effects(effect_from_dict(e) for e in found)
+        for folder in (stages.folder(k), stages.run_dir):
+            write_yaml(folder / "effects.yaml", [e.to_dict() for e in worlds.added_effects])

@@ -1,0 +1,62 @@
+"""What Algorithm 1 does, and for how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class StageLengths:
+    """How long the stages of one grounding step train.
+
+    Args:
+        state_predictor: batches for P^S.
+        visual: batches for G and P^T.
+        dynamics: GARAT rollouts for F.
+        policy: environment steps for the policy.
+        estimator: batches for the policy's encoder before the policy trains, regressed on the states of D^S as G shows
+            it; for ``policy.encoder: supervised``. 0 leaves the encoder to the policy's own training.
+    """
+
+    state_predictor: int
+    visual: int
+    policy: int
+    dynamics: int = 0
+    estimator: int = 0
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What Algorithm 1 does, and for how long.
+
+    Args:
+        grounding_steps: N.
+        images: control steps in each of the task-agnostic datasets.
+        source_images: control steps in the source's, where they are to be more: labelled images of the source cost no
+            target interaction, and P^S and the policy's encoder overfit few. None for as many as ``images``.
+        exploration: the policy that collects them, ``random`` (uniform actions), ``babble`` (slower and at several
+            strengths) or ``rehearse`` (what the teacher does in the source, replayed open loop).
+        interactions: control steps taken in the target in each grounding step.
+        source_policy: environment steps in the plain source, for the policy everything starts from; it is
+            also the reference for direct transfer.
+        pretrain: stages before the first grounding step.
+        finetune: stages of every grounding step.
+        action_transformation: learn F; without it only the images are grounded (an ablation).
+        accumulate: train P^S and G on all data so far; else on the newest alone.
+        rollback: go on with the F of the step before where the new one makes the grounded source clearly less like the
+            target, by a fifth of the target's images and actions that it was not fitted to. No reward of the target
+            takes part.
+    """
+
+    grounding_steps: int = 5
+    images: int = 20_000
+    source_images: int | None = None
+    exploration: Literal["random", "babble", "rehearse"] = "random"
+    interactions: int = 1000
+    source_policy: int = 10_000
+    pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
+    finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
+    action_transformation: bool = True
+    accumulate: bool = False
+    rollback: bool = False

@@ -1,0 +1,104 @@
+"""Which of the refitted candidates is accepted, and what is said of the others."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from idapt_pl.diagnosis.acceptance import accept, objection
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.effects.bodies import BodyCom
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.signals import SensorGain
+
+N = 40
+DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
+OTHER = Candidate(JointDamping, "shoulder", ("damping",), (0.0,), (0.1,))
+CENTRE = Candidate(BodyCom, "upper", ("x", "y", "z"), (0.0,) * 3, (0.1,) * 3)
+GAIN = Candidate(SensorGain, "elbow", ("gain",), (1.0,), (0.2,), span=((0.8, 1.25),))
+
+
+@pytest.fixture
+def state():
+    """A model with one effect, judged on 40 windows of eight episodes."""
+    windows = Windows(np.repeat(np.arange(8), 5), np.arange(N), np.array([1]))
+    before = AcceptedEffect(0, OTHER, np.array([0.2]))
+    return SearchState((), (before,), SimpleNamespace(held_out=WhitenedWindows(windows, np.zeros((N, 1, 1)))))
+
+
+def trial(candidate, loss, seed=0, round=1, gain=3.0):
+    """A refined trial with a mean held-out loss."""
+    losses = loss + 0.001 * np.random.default_rng(seed).normal(size=N)
+    x = (np.array([0.3]), np.full(candidate.size, 0.05))
+    return Trial(candidate, round, 100.0, x, 1.0, losses, gain, 0.1)
+
+
+def test_the_one_that_leaves_least_is_accepted_and_the_others_are_worse(state):
+    best, worse = trial(DAMPING, 1.0), trial(CENTRE, 2.0)
+    found, (first, second) = accept(state, [best, worse])
+    assert [a.candidate for a in found.accepted] == [OTHER, DAMPING]
+    assert found.accepted[0].x == 0.3 and found.accepted[1].x == 0.05, "earlier estimates move along"
+    assert found.accepted[1].rivals == (worse,) and found.accepted[1].round == 1
+    assert first.rejection is None and second.rejection.reason is RejectionReason.WORSE
+    assert "joint_damping(elbow) leaves less (1 against 2)" in second.rejection.text
+
+
+def test_the_state_before_stays_as_it_was(state):
+    accept(state, [trial(DAMPING, 1.0)])
+    assert [a.candidate for a in state.accepted] == [OTHER] and state.accepted[0].x == 0.2
+
+
+def test_of_those_as_good_the_one_with_fewest_parameters_is_accepted(state):
+    many, few = trial(CENTRE, 1.0), trial(DAMPING, 1.0005, seed=1)
+    found, (first, _) = accept(state, [many, few])
+    assert found.accepted[-1].candidate is DAMPING
+    assert found.accepted[-1].equivalent == (many,)
+    assert first.rejection.reason is RejectionReason.EQUIVALENT
+
+
+def test_a_sensor_is_blamed_only_if_it_is_clearly_better(state):
+    found, _ = accept(state, [trial(GAIN, 1.0), trial(DAMPING, 1.05, seed=1)])
+    assert found.accepted[-1].candidate is DAMPING
+
+
+def test_nothing_is_accepted_where_nothing_passed(state):
+    refused = trial(DAMPING, 1.0).rejected(RejectionReason.UNSURE_GAIN, "perhaps chance")
+    assert accept(state, [refused]) == (None, [refused])
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "reason"),
+    [
+        ({}, 4.0, None),
+        ({"gain_error": 3.0}, 4.0, RejectionReason.UNSURE_GAIN),
+        ({"gain": 0.05, "gain_error": 0.001}, 4.0, RejectionReason.SMALL_GAIN),
+        ({"gain": 0.19, "gain_error": 0.001}, 4.0, RejectionReason.SMALL_GAIN),
+        ({"gain": 0.3, "gain_error": 0.001}, 1.04, RejectionReason.NOISE_FLOOR),
+        ({"x": (np.array([0.001]),)}, 4.0, RejectionReason.SMALL_CHANGE),
+    ],
+    ids=["clear", "unsure", "two per cent", "five per cent", "floor", "tiny"],
+)
+def test_each_objection_has_its_reason(change, level, reason):
+    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
+    t = Trial(**{**vars(trial(DAMPING, 1.0)), **change})
+    rejection = objection(context, t, np.full(N, level))
+    assert (rejection and rejection.reason) == reason
+    assert rejection is None or rejection.text
+
+
+def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
+    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
+    at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
+    assert objection(context, at_end, np.full(N, 4.0)).reason is RejectionReason.BEYOND_SENSORS
+
+
+def test_without_velocities_the_first_effect_must_be_large():
+    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=False))
+    first, later = (trial(DAMPING, 1.0, round=k, gain=0.8) for k in (0, 1))
+    assert objection(context, first, np.full(N, 4.0)).reason is RejectionReason.SMALL_GAIN
+    assert objection(context, later, np.full(N, 4.0)) is None

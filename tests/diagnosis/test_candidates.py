@@ -1,0 +1,83 @@
+"""What a diagnosis tries: scales from the recordings, and an order that does not depend on where classes stand."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from idapt_pl.diagnosis.candidates import CANDIDATE_ORDER, all_candidates, in_order, numerics_candidates, typical_sizes
+from idapt_pl.diagnosis.data import Recording
+from idapt_pl.effects import EFFECTS
+from idapt_pl.effects.candidate import TypicalSizes
+
+CART = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 -10"/>
+  <worldbody>
+    <body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
+      <geom type="box" size="0.1 0.1 0.1" mass="3" contype="0" conaffinity="0"/>
+      <body name="pole"><joint name="hinge" axis="0 1 0" stiffness="1"/>
+        <geom type="sphere" size="0.01" pos="0 0 -0.5" mass="2" contype="0" conaffinity="0"/></body></body>
+  </worldbody>
+  <actuator><motor name="push" joint="slide" gear="1"/><position name="hold" joint="hinge" kp="5"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture
+def model():
+    return mujoco.MjModel.from_xml_string(CART)
+
+
+@pytest.fixture
+def typical():
+    two = np.ones(2)
+    return TypicalSizes(0.02, two, two, two, 2.0 * two, two, two, 0.2)
+
+
+def test_typical_sizes_are_those_of_the_recordings(model):
+    """Positions and velocities on a line, constant commands: every size is known."""
+    time = np.arange(11) * 0.05
+    qpos = np.stack([time, np.zeros(11)], 1)
+    qvel = np.tile([2.0, -3.0], (11, 1))
+    actions = np.tile([0.5, 0.1], (10, 1))
+    sizes = typical_sizes(model, [Recording("one", time, qpos, qvel, actions)], 0.25)
+    assert (sizes.dt, sizes.horizon) == (pytest.approx(0.05), 0.25)
+    about_hinge = 2 * 0.5**2 + model.body("pole").inertia[1]
+    np.testing.assert_allclose(sizes.inertia, [5.0, about_hinge])
+    np.testing.assert_allclose(sizes.speed, [2.0, 3.0])
+    np.testing.assert_allclose(sizes.range, [0.5, 0.0], atol=1e-8)
+    np.testing.assert_allclose(sizes.motion, [time.std(), 0.0], atol=1e-8)
+    np.testing.assert_allclose(sizes.command, [0.5, 0.1])
+    np.testing.assert_allclose(sizes.force, [0.5, 5 * 0.1])
+    np.testing.assert_allclose(sizes.torque, [5.0 * 2 / 0.25, about_hinge * 3 / 0.25])
+
+
+def test_the_order_names_effects_that_there_are():
+    names = {entry.partition("(")[0].partition(".")[0] for entry in CANDIDATE_ORDER.split()}
+    assert names <= set(EFFECTS)
+
+
+def test_effects_of_one_line_go_element_by_element(typical):
+    labels = [c.label for c in all_candidates(mujoco.MjSpec.from_string(CART), typical)]
+    start = labels.index("sensor_bias(slide)")
+    assert labels[start : start + 8] == [
+        "sensor_bias(slide)", "sensor_gain(slide)", "joint_stribeck(slide)", "joint_backlash(slide)",
+        "sensor_bias(hinge)", "sensor_gain(hinge)", "joint_stribeck(hinge)", "joint_backlash(hinge)",
+    ]  # fmt: skip
+    assert labels[:3] == ["joint_damping(slide)", "joint_damping(hinge)", "joint_damping(*)"]
+    assert labels[-3:] == ["gravity_direction(world)"] * 3
+
+
+def test_the_order_does_not_depend_on_where_classes_stand(model, typical):
+    by_class = [kind.candidates(model, typical) for kind in EFFECTS.values()]
+    forth = in_order([c for offered in by_class for c in offered])
+    back = in_order([c for offered in reversed(by_class) for c in offered])
+    assert forth == back
+
+
+def test_other_numerics_are_tried_from_the_coarsest_to_the_finest(model):
+    tried = numerics_candidates(model)
+    assert [(n.timestep, n.integrator) for n in tried] == [
+        (0.01, "implicitfast"),
+        (0.01, "RK4"),
+        (0.002, "implicitfast"),
+    ]

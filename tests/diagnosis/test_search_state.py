@@ -1,0 +1,83 @@
+"""A search takes and returns its state; fits of candidates split parameters as they should."""
+
+from dataclasses import FrozenInstanceError
+
+import mujoco
+import numpy as np
+import pytest
+from arm import ARM, record
+
+from idapt_pl.diagnosis.candidate_fit import fit_candidates, split_parameters
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.search import one_round
+from idapt_pl.diagnosis.search_state import refit_accepted, renew
+from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.effects.bodies import BodyCom
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointDamping
+
+DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
+CENTRE = Candidate(BodyCom, "upper", ("x", "y", "z"), (0.0,) * 3, (0.1,) * 3)
+
+
+@pytest.fixture(scope="module")
+def started():
+    """A search for hidden damping, before its first round."""
+    data = record(ARM.replace('damping="0.02"', 'damping="0.06"'))
+    model = mujoco.MjSpec.from_string(ARM)
+    return begin_search(model, data, candidates=["joint_damping", "body_mass"], settings=SearchSettings(numerics=False))
+
+
+def test_a_round_returns_another_state_and_leaves_the_one_before(started):
+    context, state = started
+    found, trials = one_round(context, state, 0)
+    assert state.accepted == () and state.effects == ()
+    assert [c.label for c in found.candidates] == ["joint_damping(elbow)"]
+    assert len(trials) == len(context.candidates)
+    assert [t.candidate.label for t in trials if not t.rejection] == ["joint_damping(elbow)"]
+    again, _ = one_round(context, state, 0)
+    np.testing.assert_array_equal(again.estimates, found.estimates)
+
+
+def test_windows_are_whitened_anew_and_kept_while_the_kind_of_model_is_the_same(started):
+    context, state = started
+    found, _ = one_round(context, state, 0)
+    renewed = renew(context, found)
+    assert renewed.windows.sensitivity is not state.windows.sensitivity, "another effect, other sensitivities"
+    refitted = renew(context, refit_accepted(context, renewed))
+    assert refitted.windows.sensitivity is renewed.windows.sensitivity, "another value, the same"
+    assert refitted.estimates[0] != found.estimates[0]
+
+
+def test_states_cannot_be_changed(started):
+    _, state = started
+    with pytest.raises(FrozenInstanceError):
+        state.fixed = ()
+
+
+def test_an_effect_is_left_out_by_its_round(started):
+    context, state = started
+    found, _ = one_round(context, state, 0)
+    (only,) = found.accepted
+    assert found.without(found.with_estimates([np.array([0.1])]).accepted[0]).accepted == ()
+    assert found.without(only).effects == state.effects
+
+
+def test_parameters_are_split_among_candidates():
+    parts = split_parameters([CENTRE, DAMPING], np.arange(4.0))
+    assert [p.tolist() for p in parts] == [[0.0, 1.0, 2.0], [3.0]]
+
+
+def test_a_fit_finds_the_parameters_of_several_candidates():
+    """Residuals that are linear in what the effects carry; what is fixed comes first."""
+    truth = np.array([0.02, -0.03, 0.01, 0.4])
+
+    def residual(effects):
+        fixed, centre, damping = effects
+        assert fixed == JointDamping("shoulder", 0.5)
+        return 100 * (np.array([centre.x, centre.y, centre.z, damping.damping]) - truth)[None]
+
+    fixed = (JointDamping("shoulder", 0.5),)
+    fit = fit_candidates(residual, fixed, [CENTRE, DAMPING], [np.zeros(3), np.zeros(1)], 20)
+    assert np.concatenate(fit.x) == pytest.approx(truth, abs=1e-4)
+    assert [len(x) for x in fit.x] == [3, 1]

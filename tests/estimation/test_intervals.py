@@ -1,0 +1,54 @@
+"""How sure estimates and gains are: coverage, and known closed forms."""
+
+import numpy as np
+import pytest
+
+from idapt_pl.estimation.intervals import covariance, paired_gain, unknown_variance
+from idapt_pl.estimation.least_squares import LeastSquaresFit
+
+
+@pytest.fixture
+def linear_fit():
+    """A linear model with unit noise: z = noise at the truth, J known."""
+    rng = np.random.default_rng(0)
+    J, z = rng.normal(size=(4000, 2)), rng.normal(size=(800, 5))
+    return LeastSquaresFit(np.zeros(2), 1.0, J, z)
+
+
+def test_with_independent_noise_the_covariance_is_that_of_least_squares(linear_fit):
+    V = covariance(linear_fit, np.repeat(np.arange(400), 2))
+    assert np.diag(V) == pytest.approx(np.diag(np.linalg.inv(linear_fit.J.T @ linear_fit.J)), rel=0.2)
+
+
+def test_noise_that_lasts_within_episodes_widens_intervals(linear_fit):
+    """Eight windows an episode with the same noise and slopes count as one."""
+    J = np.repeat(linear_fit.J.reshape(800, 5, 2)[:100], 8, 0).reshape(4000, 2)
+    z = np.repeat(linear_fit.z[:100], 8, 0)
+    same = LeastSquaresFit(np.zeros(2), 1.0, J, z)
+    clustered, not_clustered = (np.diag(covariance(same, c)) for c in (np.repeat(np.arange(100), 8), np.arange(800)))
+    assert clustered / not_clustered == pytest.approx([8.0, 8.0], rel=0.05)
+
+
+def test_what_is_not_known_adds_what_it_would_change(linear_fit):
+    shift = np.array([0.3, -0.1])
+    change = (linear_fit.J @ shift).reshape(800, 5)
+    light = LeastSquaresFit(np.zeros(2), 1.0, linear_fit.J, np.zeros((800, 5)))
+    assert unknown_variance(light, [change]) == pytest.approx(shift**2)
+    assert unknown_variance(light, [change, change]) == pytest.approx(2 * shift**2)
+    assert unknown_variance(light, []).tolist() == [0.0, 0.0]
+
+
+def test_a_gain_has_the_standard_error_of_a_mean():
+    rng = np.random.default_rng(1)
+    before, after = rng.normal(3, 1, 200), rng.normal(2, 1, 200)
+    gain, error = paired_gain(before, after, np.repeat(np.arange(20), 10))
+    assert gain == pytest.approx((before - after).mean())
+    assert error == pytest.approx((before - after).std() / np.sqrt(200))
+
+
+def test_a_gain_in_a_minority_of_episodes_is_not_sure_at_all():
+    after = np.repeat([0.0, 1.1, 1.1, 1.1], 5)
+    gain, error = paired_gain(np.ones(20), after, np.repeat(np.arange(4), 5))
+    assert gain > 0 and error == np.inf
+    loss, error = paired_gain(np.ones(20), 2 - after, np.repeat(np.arange(4), 5))
+    assert loss < 0 and np.isfinite(error)

@@ -1,0 +1,128 @@
+"""Robust least squares: against SciPy, inside bounds, and the laws of its parts."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from idapt_pl.estimation.least_squares import (
+    HUBER,
+    ParameterBox,
+    gauss_newton,
+    huber,
+    huber_weights,
+    jacobian,
+    normal_equations,
+    project_out,
+    robust_loss,
+)
+
+TIME = np.linspace(0, 3, 60)
+TRUTH = np.array([2.0, 0.7, -0.5])
+
+
+def decay(x):
+    """An exponential decay to an offset."""
+    return x[0] * np.exp(-x[1] * TIME) + x[2]
+
+
+@pytest.fixture
+def residual():
+    """Residuals (12, 5) in units of the noise; some measurements are far off."""
+    rng = np.random.default_rng(0)
+    seen = decay(TRUTH) + 0.02 * rng.normal(size=60)
+    seen[::9] += rng.normal(size=7)
+    return lambda x: ((seen - decay(x)) / 0.02).reshape(12, 5)
+
+
+FREE = ParameterBox(np.ones(3), np.full(3, -10.0), np.full(3, 10.0))
+START = np.array([1.0, 0.3, 0.0])
+
+
+def test_the_minimum_is_scipys(residual):
+    fit = gauss_newton(residual, START, FREE, iterations=40)
+    theirs = least_squares(lambda x: residual(x).ravel(), START, loss="huber", f_scale=HUBER, xtol=1e-14, ftol=1e-14)
+    assert fit.x == pytest.approx(theirs.x, rel=1e-3)
+    assert fit.loss == pytest.approx(2 * theirs.cost / 60, rel=1e-4), "the same loss, up to a factor of two"
+    assert fit.x == pytest.approx(TRUTH, abs=0.05), "outliers do not decide"
+
+
+def test_bounds_are_kept_and_the_rest_is_fitted_at_them(residual):
+    high = np.array([10.0, 0.5, 10.0])
+    fit = gauss_newton(residual, START, ParameterBox(np.ones(3), FREE.low, high), iterations=40)
+    theirs = least_squares(
+        lambda x: residual(x).ravel(), START, loss="huber", f_scale=HUBER, bounds=(FREE.low, high), xtol=1e-14
+    )
+    assert fit.x[1] == 0.5
+    assert fit.x == pytest.approx(theirs.x, rel=2e-3)
+
+
+def test_a_start_outside_the_bounds_is_moved_inside(residual):
+    fit = gauss_newton(residual, np.array([1.0, 99.0, 0.0]), FREE, iterations=1)
+    assert (fit.x <= FREE.high).all()
+
+
+def test_units_do_not_matter(residual):
+    units = np.array([1e-3, 1.0, 1e3])
+    scaled = ParameterBox(1 / units, FREE.low / units, FREE.high / units)
+    fit = gauss_newton(lambda x: residual(x * units), START / units, scaled, iterations=40)
+    assert fit.x * units == pytest.approx(gauss_newton(residual, START, FREE, iterations=40).x, rel=1e-6)
+
+
+def test_a_fit_says_where_it_ended(residual):
+    fit = gauss_newton(residual, START, FREE)
+    np.testing.assert_array_equal(fit.z, residual(fit.x))
+    assert fit.loss == robust_loss(fit.z).mean() and fit.J.shape == (60, 3)
+
+
+def test_a_linear_problem_takes_one_step_and_little_damping():
+    rng = np.random.default_rng(1)
+    A, b = rng.normal(size=(40, 2)), rng.normal(size=40)
+    fit = gauss_newton(
+        lambda x: (A @ x - b).reshape(8, 5), np.zeros(2), ParameterBox(np.ones(2), *np.array([[-9.0] * 2, [9.0] * 2]))
+    )
+    assert fit.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], rel=1e-3)
+
+
+def test_slopes_are_in_units_of_the_scales_and_stay_inside_the_bounds():
+    seen = []
+
+    def linear(x):
+        seen.append(x)
+        return (x * [3.0, 5.0])[None]
+
+    box = ParameterBox(np.array([1.0, 0.1]), np.zeros(2), np.array([1.0, 1.0]))
+    J = jacobian(linear, np.array([1.0, 0.5]), linear(np.array([1.0, 0.5])), box)
+    assert pytest.approx(np.diag([3.0, 0.5])) == J
+    assert all((x <= 1).all() for x in seen), "at its bound a parameter is moved the other way"
+
+
+def test_hubers_loss_is_square_near_zero_and_smooth_where_it_becomes_linear():
+    z = np.array([0.0, 1.0, -2.0])
+    assert huber(z).tolist() == [0.0, 1.0, 4.0]
+    edge, h = HUBER, 1e-6
+    below, above = (huber(np.array([edge, edge + d])) for d in (-h, h))
+    assert -np.diff(below) / h == pytest.approx(np.diff(above) / h, rel=1e-5)
+    assert huber(np.array([100.0]))[0] == 2 * HUBER * 100 - HUBER**2
+
+
+def test_weights_make_the_slope_of_squares_that_of_hubers_loss():
+    z, h = np.array([-30.0, -5.0, -1.0, 0.5, 4.5, 11.0]), 1e-6
+    slope = (huber(z + h) - huber(z - h)) / (2 * h)
+    assert 2 * huber_weights(z) * z == pytest.approx(slope, rel=1e-6)
+
+
+def test_normal_equations_are_the_gradient_and_curvature_of_the_weighted_squares():
+    rng = np.random.default_rng(2)
+    J, z, w = rng.normal(size=(20, 3)), rng.normal(size=20), rng.uniform(0.1, 1, 20)
+    H, g = normal_equations(J, z, w)
+    assert pytest.approx(J.T @ np.diag(w) @ J) == H and g == pytest.approx(J.T @ np.diag(w) @ z)
+
+
+def test_what_is_projected_out_leaves_nothing_of_the_basis():
+    rng = np.random.default_rng(3)
+    nuisance, v = rng.normal(size=(4, 10, 2)), rng.normal(size=(4, 10, 3))
+    rest = project_out(np.linalg.qr(nuisance)[0], v)
+    assert np.abs(np.swapaxes(nuisance, 1, 2) @ rest).max() < 1e-12
+    alone = project_out(np.linalg.qr(nuisance[0])[0], v[0])
+    assert alone == pytest.approx(rest[0]), "the same with and without a batch"
+    assert project_out(np.zeros((10, 0)), v[0]) == pytest.approx(v[0]), "nothing to project out"
