@@ -13,8 +13,8 @@ SYSTEMATIC_LOG_STD = 0.1
 """Standard deviation of the logarithm of an estimate by what G and the sensor get wrong on target images alone.
 
 No control shows it: the root mean square error of four recordings by three sensors, which scatter does not explain
-(``benchmarks/discovery.py``; ``results/discovery.csv``, seed 0 of HalfCheetah and of Walker2d's easy looks). It is not a
-gain of the sensor: one of 10 % at each joint changes an estimate by 1 to 2 %."""
+(``benchmarks/discovery.py``; ``results/discovery.csv``, seed 0 of HalfCheetah and of Walker2d's easy looks). It is not
+a gain of the sensor: one of 10 % at each joint changes an estimate by 1 to 2 %."""
 
 
 def parabola_minimum(x: np.ndarray, scores: np.ndarray) -> tuple[float, bool]:

@@ -26,7 +26,7 @@ from idapt_pl.report.html import (
 from idapt_pl.rl.exploration import babbling_policy
 from idapt_pl.tasks import Task
 
-GALLERY_CSS = "main { max-width: 72rem; }\n"
+GALLERY_CSS = "main { max-width: 72rem; } .grid { margin: .6rem 0; }\n"
 """Four pictures and their name fit beside each other."""
 
 

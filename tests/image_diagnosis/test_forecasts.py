@@ -86,7 +86,7 @@ def test_the_right_dynamics_forecast_best(mass):
 
 
 class Valley:
-    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each sighting."""
+    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each episode."""
 
     lowest = np.log(80.0) + 0.1 * np.linspace(-1, 1, 12)
 
