@@ -71,9 +71,7 @@ def diagnose_by_forecasts(
     control_starts = observed_starts(sensor, read_all(control, also="state"), dt, compared, G)
     exact = image_forecaster(starts, sensor, G, compared, make_env, dt)
     quick = state_forecaster(starts, source, compared, calibration.position, dt, seed)
-    recorded, _ = as_recordings(model, readings.target)
-    sizes = typical_sizes(model, recorded, FORECAST_STEPS * dt)
-    candidates = of_one_parameter(choose_candidates(all_candidates(source.spec(), sizes), options.candidates))
+    candidates = forecast_candidates(source, readings, options)
     accepted, next_best = search_by_forecasts(source, candidates, quick, exact, options.max_effects, seed)
 
     repaired = source.with_effects(*(t.effect for t in accepted))
@@ -100,6 +98,13 @@ def diagnose_by_forecasts(
             SYSTEMATIC_LOG_STD, example_episode(compared, starts, first, last, scores_before - scores_after, dt)
         ),
     )
+
+
+def forecast_candidates(source: Domain, readings: CalibratedReadings, options: DiscoverySettings) -> list[Candidate]:
+    """The candidates asked for, in the sizes of what was read of the target."""
+    recorded, _ = as_recordings(source.compile(), readings.target)
+    sizes = typical_sizes(source.compile(), recorded, FORECAST_STEPS * readings.target.dt)
+    return of_one_parameter(choose_candidates(all_candidates(source.spec(), sizes), options.candidates))
 
 
 def of_one_parameter(candidates: Sequence[Candidate]) -> list[Candidate]:
