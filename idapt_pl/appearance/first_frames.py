@@ -115,6 +115,7 @@ class FirstFrames(AbstractContextManager):
         sky[:] = sky_pixels(self.nominal)
         for parameter, values in settings.items():
             parameter.apply_to_model(self.model, values)
-        if not np.array_equal(sky, self._uploaded):
-            self._render.upload(sky_texture(self.model))
+        texture = sky_texture(self.model)
+        if texture is not None and not np.array_equal(sky, self._uploaded):
+            self._render.upload(texture)
             self._uploaded = sky.copy()

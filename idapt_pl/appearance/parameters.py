@@ -91,8 +91,8 @@ class CameraParameter(VisualParameter):
         axes = Rotation.from_quat(camera.quat, scalar_first=True)
         position = camera.pos + axes.apply(values[:3])
         quat = (axes * Rotation.from_rotvec(values[3:])).as_quat(scalar_first=True)
-        pose = {"position": tuple(map(float, position)), "quat": tuple(map(float, quat))}
-        return (CameraFrame(CAMERA, **pose, fovy=float(camera.fovy[0])),)
+        fovy = float(camera.fovy[0])
+        return (CameraFrame(CAMERA, position=tuple(position.tolist()), quat=tuple(quat.tolist()), fovy=fovy),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +170,10 @@ class BlurParameter(VisualParameter):
         return 0.01 * float(np.sqrt(values[0]))
 
 
-def round_colour(values: np.ndarray) -> tuple[float, ...]:
-    """Colours to a tenth of what eight bits can tell."""
-    return tuple(round(float(v), 4) for v in values)
+def round_colour(values: np.ndarray) -> tuple[float, float, float]:
+    """A colour (3,) to a tenth of what eight bits can tell."""
+    red, green, blue = (round(float(v), 4) for v in values)
+    return red, green, blue
 
 
 def visual_parameters(spec: mujoco.MjSpec) -> list[VisualParameter]:

@@ -135,8 +135,8 @@ def add_parameters(
         log.info("visual effect: %s, error %.2f levels", *trail[-1])
         return (new, trail, error), True
 
-    nothing = AppearanceFit({}, {})
-    found, trail, _ = forward_selection((nothing, (), error_of({})), step, MOST_STEPS)
+    nothing: tuple[AppearanceFit, Trail, float] = (AppearanceFit({}, {}), (), error_of({}))
+    found, trail, _ = forward_selection(nothing, step, MOST_STEPS)
     return found, trail
 
 

@@ -51,4 +51,5 @@ def predictions_apart(
     other = effect.equivalent[0]
     rest = state.without(effect).effects
     either = effect.candidate.effect(effect.x), other.candidate.effect(other.x[-1])
-    return tuple(context.whitened(state.windows.fit, (*rest, e)) for e in either)
+    first, second = (context.whitened(state.windows.fit, (*rest, e)) for e in either)
+    return first, second

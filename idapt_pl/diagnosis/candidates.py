@@ -73,8 +73,9 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
     dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
     tiny = 1e-9
     inertia, force = np.median(inertia, 0), np.sqrt(np.mean(np.square(force), 0))
-    usual = (inertia, speed, motion, widest, command, force)
-    return TypicalSizes(dt, *(u + tiny for u in usual), horizon)
+    return TypicalSizes(
+        dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, force + tiny, horizon
+    )
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:
@@ -92,7 +93,8 @@ def in_order(candidates: list[Candidate]) -> list[Candidate]:
         entries = (c.label, f"{c.kind.name}.{c.names[0]}", c.kind.name)
         return next((places[e] for e in entries if e in places), (len(lines), 0))
 
-    by_effect, elements = sorted(candidates, key=place), {}
+    by_effect = sorted(candidates, key=place)
+    elements: dict[tuple[int, str], int] = {}
     for c in by_effect:
         elements.setdefault((place(c)[0], c.target), len(elements))
     return sorted(by_effect, key=lambda c: (place(c)[0], elements[place(c)[0], c.target]))

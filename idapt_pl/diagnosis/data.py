@@ -136,9 +136,8 @@ def lateness(shown: list[Recording], sloped: list[Recording]) -> float:
 
     Least squares on v_measured - v_slope = -lag dv/dt, over all coordinates.
     """
-    gap = [a.qvel[1:-1] - b.qvel[1:-1] for a, b in zip(shown, sloped, strict=True)]
-    rate = [np.gradient(b.qvel, b.time, axis=0)[1:-1] for b in sloped]
-    gap, rate = np.concatenate(gap), np.concatenate(rate)
+    gap = np.concatenate([a.qvel[1:-1] - b.qvel[1:-1] for a, b in zip(shown, sloped, strict=True)])
+    rate = np.concatenate([np.gradient(b.qvel, b.time, axis=0)[1:-1] for b in sloped])
     scale = rate.std(0) + 1e-12
     gap, rate = (gap / scale).ravel(), (rate / scale).ravel()
     lag = -float(gap @ rate) / max(float(rate @ rate), 1e-12)

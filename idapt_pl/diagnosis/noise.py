@@ -37,8 +37,8 @@ def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: b
     signals = [[position_difference(model, r.qpos[:1], r.qpos) for r in data], [r.qvel for r in data]]
     parts = []
     for episodes in signals if velocities else signals[:1]:
-        rough = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
-        rough = np.concatenate(rough) if rough else np.full((1, model.nv), np.inf)
+        each = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
+        rough = np.concatenate(each) if each else np.full((1, model.nv), np.inf)
         random = 1.4826 * np.median(np.abs(rough - np.median(rough, 0)), 0) / np.linalg.norm(weights)
         parts.append(np.maximum(random, rounding_noise(episodes)))
     return parts

@@ -68,17 +68,19 @@ def split_episodes(
         for e in chosen or ():
             if not 0 <= e < n:
                 raise ValueError(f"--{name}: there is no episode {e}; the recording has 0 to {n - 1}")
-    if hold_out is None:
-        ranked = np.argsort(lively, kind="stable")
-        hold_out = np.sort(ranked[n // 2 % 4 :: 4]) if fit is None else np.setdiff1d(ranked, fit)
-    if fit is None:
-        fit = np.setdiff1d(np.arange(n), hold_out)
-    fit, hold_out = np.asarray(fit, int), np.asarray(hold_out, int)
-    if both := np.intersect1d(fit, hold_out).tolist():
+    if hold_out is not None:
+        judged = np.asarray(hold_out, int)
+    elif fit is not None:
+        judged = np.setdiff1d(np.arange(n), fit)
+    else:
+        judged = np.sort(np.argsort(lively, kind="stable")[n // 2 % 4 :: 4])
+    fitted = np.setdiff1d(np.arange(n), judged) if fit is None else np.asarray(fit, int)
+    if both := np.intersect1d(fitted, judged).tolist():
         raise ValueError(f"episodes {both} are both to be fitted and held out")
-    if not len(fit) or not len(hold_out):
-        raise ValueError(f"{n} episodes leave none to {'fit' if not len(fit) else 'hold out'}; at least two are needed")
-    return fit, hold_out
+    if not len(fitted) or not len(judged):
+        lacking = "hold out" if len(fitted) else "fit"
+        raise ValueError(f"{n} episodes leave none to {lacking}; at least two are needed")
+    return fitted, judged
 
 
 def choose_candidates(found: Sequence[Candidate], names: Sequence[str] | None) -> list[Candidate]:

@@ -112,7 +112,7 @@ class EffectEstimate:
         """As in ``report.json``."""
         entry: dict[str, Any] = {"effect": self.effect, "target": self.target}
         entry["parameters"] = {name: p.to_dict() for name, p in self.parameters.items()}
-        errors = {"error_after": self.error_after}
+        errors: dict[str, Any] = {"error_after": self.error_after}
         if self.error_without is not None:
             errors = {"fixed": dict(self.fixed), **errors, "error_without": self.error_without}
         return {**entry, **errors, "equivalent": [a.to_dict() for a in self.equivalent]}

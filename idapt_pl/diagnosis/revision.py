@@ -62,7 +62,9 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     old = state.accepted[place]
     rest = state.without(old)
     now = context.loss(state.windows.held_out, state.effects)
-    best, best_loss, best_x = None, float(now.mean()), ()
+    best: Candidate | None = None
+    best_x: tuple[np.ndarray, ...] = ()
+    best_loss = float(now.mean())
     for t in rivals:
         candidates = [*rest.candidates, t.candidate]
         x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 4).x

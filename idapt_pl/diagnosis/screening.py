@@ -98,7 +98,7 @@ class ScoreTest:
             columns.append((z - self.base).ravel() / (sign * DERIVATIVE_STEP))
         return np.stack(columns, 1)
 
-    def score(self, c: Candidate, starts: Sequence[np.ndarray], round: int) -> Trial:
+    def score(self, c: Candidate, starts: Sequence[np.ndarray | tuple[float, ...]], round: int) -> Trial:
         """The better of a linear step from nominal and of the given places to start a fit from."""
         nominal = np.array(c.nominal)
         D = self.clear(self.derivative(c, nominal))

@@ -125,7 +125,8 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
         return (retest_numerics(context, state), trials), True
 
     state = retest_numerics(context, state)
-    state, trials = forward_selection((state, ()), add_effect, context.settings.max_effects)
+    nothing: Progression = (state, ())
+    state, trials = forward_selection(nothing, add_effect, context.settings.max_effects)
     state = swap_for_rivals(context, state)
     state = eliminate_needless(context, state)
     return measure_intervals(context, state), trials

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import mujoco
@@ -19,6 +19,10 @@ from idapt_pl.effects.runtime import Command, CommandEffect, ForceEffect, Runtim
 from idapt_pl.effects.world import ExternalForce
 
 Effects = tuple[Effect, ...]
+Motion = tuple[np.ndarray, np.ndarray]
+"""Positions and velocities."""
+Sense = Callable[[np.ndarray, np.ndarray], Motion]
+"""What a sensor makes of positions and velocities, or the other way round."""
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
@@ -36,7 +40,7 @@ _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.
 
 
 @contextmanager
-def silence_mujoco():
+def silence_mujoco() -> Iterator[None]:
     """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(_SILENCE)
@@ -79,7 +83,7 @@ class Simulator:
     def channels(self) -> list[str]:
         """Names of what residuals are of, at every sample; ``compared`` says which of them count."""
         m = self.model
-        names = []
+        names: list[str] = []
         for j in range(m.njnt):
             kind, name = m.jnt_type[j], m.joint(j).name or f"joint {j}"
             size = {0: 6, 1: 3}.get(int(kind), 1)
@@ -164,7 +168,10 @@ class Simulator:
         scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY_SUFFIX)]
         return [j for j in scalar if target in ("*", m.joint(j).name)]
 
-    def _settle(self, play: BacklashCoordinates, model, data, effects: Effects, windows: Windows) -> np.ndarray:
+    def _settle(
+        self, play: BacklashCoordinates, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects,
+        windows: Windows,
+    ) -> np.ndarray:  # fmt: skip
         """Where in their play joints are when windows begin, positions and velocities: (n, 2, joints with play).
 
         Nothing measures it. So the samples before are gone through: the link is put where it was measured at each of
@@ -184,7 +191,7 @@ class Simulator:
             loose[rows] = play.read(states[:, -1, 1:])
         return loose
 
-    def _sense(self, how, joints: list[int], qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _sense(self, how: Sense, joints: list[int], qpos: np.ndarray, qvel: np.ndarray) -> Motion:
         qpos, qvel = qpos.copy(), qvel.copy()
         q, v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
         qpos[..., q], qvel[..., v] = how(qpos[..., q], qvel[..., v])
@@ -218,7 +225,10 @@ class Simulator:
                 out[rows, :, i] = np.diff(np.interp(at, edges, total[:, i]), axis=1) / h
         return out
 
-    def _roll(self, model, data, effects: Effects, time, qpos, qvel, controls) -> np.ndarray:
+    def _roll(
+        self, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects, time: np.ndarray, qpos: np.ndarray,
+        qvel: np.ndarray, controls: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         """States after every step, the first one in front: (n, steps + 1, size)."""
         n, steps, _ = controls.shape
         start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))

@@ -23,7 +23,7 @@ from idapt_pl.diagnosis.result import (
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.signature import residual_signature
 from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.diagnosis.trial import Rejection, Trial
 from idapt_pl.diagnosis.verdict import decide, removed_share
 from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.effects.wording import unit_at
@@ -77,8 +77,8 @@ def physical_errors(context: SearchContext, state: SearchState) -> dict[str, Cha
     rms = (np.sqrt(np.square(r).mean((0, 1))) for r in residuals)
     rows = zip(sim.channels, *rms, state.windows.noise.sensors, channel_units(sim), sim.compared, strict=True)
     return {
-        name: ChannelError(*(significant(v, 4) for v in errors), unit)
-        for name, *errors, unit, compared in rows
+        name: ChannelError(significant(before, 4), significant(after, 4), significant(noise, 4), unit)
+        for name, before, after, noise, unit, compared in rows
         if compared
     }
 
@@ -95,6 +95,7 @@ def estimate_of(context: SearchContext, state: SearchState, a: AcceptedEffect) -
     """One accepted effect."""
     held_out, c = state.windows.held_out, a.candidate
     error, without = (context.loss(held_out, s.effects).mean() for s in (state, state.without(a)))
+    assert a.interval is not None, "intervals are measured at the end of a search"
     columns = zip(c.names, c.nominal, a.x, a.interval, c.units(), strict=True)
     return EffectEstimate(
         effect=c.kind.name,
@@ -103,10 +104,10 @@ def estimate_of(context: SearchContext, state: SearchState, a: AcceptedEffect) -
             name: ParameterEstimate(
                 significant(nominal, 6),
                 significant(value, 6),
-                tuple(significant(v, 6) for v in interval),
+                (significant(low, 6), significant(high, 6)),
                 unit_at(context.sim.model, c.target, unit),
             )
-            for name, nominal, value, interval, unit in columns
+            for name, nominal, value, (low, high), unit in columns
         },
         fixed=dict(c.fixed),
         error_after=round(float(np.sqrt(error)), 4),
@@ -148,15 +149,15 @@ def changed_numerics(effect: Numerics, model: mujoco.MjModel) -> dict[str, Param
 def rejected_candidates(trials: Sequence[Trial]) -> list[RejectedCandidate]:
     """What was not accepted, by round and score."""
     ranked = sorted(trials, key=lambda t: (t.round, -t.score))
-    return [rejected_candidate(t) for t in ranked if t.rejection][:MOST_CANDIDATES]
+    return [rejected_candidate(t, t.rejection) for t in ranked if t.rejection][:MOST_CANDIDATES]
 
 
-def rejected_candidate(t: Trial) -> RejectedCandidate:
-    """A trial as the report lists it."""
+def rejected_candidate(t: Trial, why: Rejection) -> RejectedCandidate:
+    """A trial that was not accepted, as the report lists it."""
     c = t.candidate
     gain = None if np.isnan(t.gain) else significant(t.gain, 4)
     fixed, score = dict(c.fixed), significant(t.score, 4)
-    return RejectedCandidate(c.kind.name, c.target, named_values(t), fixed, t.round + 1, score, gain, t.rejection.text)
+    return RejectedCandidate(c.kind.name, c.target, named_values(t), fixed, t.round + 1, score, gain, why.text)
 
 
 def named_values(t: Trial) -> dict[str, float]:

@@ -142,9 +142,10 @@ class Material(VisualEffect):
     repeat: tuple[float, float] = parameter("1", 0.0, 1e4, default=(1.0, 1.0))  # of a picture
 
     def apply(self, spec: mujoco.MjSpec) -> None:
-        if (self.dm_control is None) == (self.picture is None):
+        given = [name for name in (self.dm_control, self.picture) if name is not None]
+        if len(given) != 1:
             raise ValueError(f"material on {self.target!r}: give either dm_control or picture")
-        name = self.dm_control or self.picture
+        (name,) = given
         if spec.material(name) is None:
             copy_material(dm_control_assets("materials.xml"), spec, name) if self.dm_control else self._add(spec, name)
         for geom in find_elements(spec, "geoms", self.target):

@@ -42,7 +42,7 @@ def format_estimate(value: float | str, interval: Iterable[float] | None) -> tup
         return format_number(value), f"{format_number(low)} to {format_number(high)}"
     decimals = math.ceil(-math.log10(half / 2))
     if decimals > 6:
-        return tuple(f"{value:.3g} | {low:.3g} to {high:.3g}".split(" | "))
+        return f"{value:.3g}", f"{low:.3g} to {high:.3g}"
     shown = [f"{round(v, decimals):.{max(decimals, 0)}f}" for v in (value, low, high)]
     return shown[0], f"{shown[1]} to {shown[2]}"
 

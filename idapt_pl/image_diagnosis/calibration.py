@@ -107,8 +107,11 @@ def calibrate(task: Task, model: mujoco.MjModel, read: Trajectories) -> Calibrat
     position, velocity, slope, speed = reading_errors(task, model, read)
     about = speed - speed.mean(0)
     lag = -(about * position).mean(0) / np.maximum(np.square(about).mean(0), 1e-12)
-    sizes = (np.sqrt(np.square(e).mean(0)) for e in (position, velocity, slope, speed))
-    return Calibration(*sizes, position.mean(0), lag)
+
+    def rms(errors: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.square(errors).mean(0))
+
+    return Calibration(rms(position), rms(velocity), rms(slope), rms(speed), position.mean(0), lag)
 
 
 def reading_errors(task: Task, model: mujoco.MjModel, read: Trajectories) -> list[np.ndarray]:
@@ -159,8 +162,8 @@ def read_calibrated(
     kept = {k: familiar_frames(task, model, read, given["control"]) for k, read in given.items()}
     excluded = {k: 1 - frame_count(kept[k]) / frame_count(given[k]) for k in given}
     calibration = calibrate(task, model, kept["control"])
-    reliable = (reliable_channels(kept[k], calibration) for k in given)
-    return CalibratedReadings(*reliable, calibration, excluded, tuple(task.unseen))
+    reliable = {k: reliable_channels(read, calibration) for k, read in kept.items()}
+    return CalibratedReadings(reliable["target"], reliable["control"], calibration, excluded, tuple(task.unseen))
 
 
 def frame_count(read: Trajectories) -> int:

@@ -125,8 +125,10 @@ def channel_errors(
     """Errors (d,) of the means of forecasts, without and with effects, beside the sensor's."""
     noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
     return {
-        name: ChannelError(*map(six_digits, errors), unit)
-        for (name, unit), *errors in zip(compared.names_and_units(), before, after, noise, strict=True)
+        name: ChannelError(six_digits(without), six_digits(with_effects), six_digits(sensor), unit)
+        for (name, unit), without, with_effects, sensor in zip(
+            compared.names_and_units(), before, after, noise, strict=True
+        )
     }
 
 

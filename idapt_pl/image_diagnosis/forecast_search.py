@@ -202,7 +202,7 @@ def trial_estimate(t: ForecastTrial, model: mujoco.MjModel, without: float) -> E
     """An effect of the result; ``without`` is the score without it."""
     c, why = t.candidate, "what is read of the target is forecast as well with it: no clear difference"
     (name,), (nominal,), (unit,) = c.names, c.nominal, c.units()
-    interval = None if t.interval is None else tuple(map(six_digits, t.interval))
+    interval = None if t.interval is None else (six_digits(t.interval[0]), six_digits(t.interval[1]))
     estimate = ParameterEstimate(six_digits(nominal), six_digits(t.x), interval, unit_at(model, c.target, unit))
     equivalent = (
         Alternative(e.candidate.kind.name, e.candidate.target, {e.candidate.names[0]: six_digits(e.x)}, why)

@@ -7,7 +7,7 @@ windows need not begin with velocities that no image shows. Episodes must begin 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -116,7 +116,7 @@ def pad_with_last(x: np.ndarray, length: int) -> np.ndarray:
 
 def observed_starts(
     sensor: ImageSensor,
-    episodes: Sequence[Episode],
+    episodes: Iterable[Episode],
     dt: float,
     compared: ComparedChannels,
     G: VisualTransformation | None = None,

@@ -140,9 +140,20 @@ class ImageDiagnosis:
         return isinstance(self.evidence, ForecastEvidence)
 
     @property
+    def forecast_evidence(self) -> ForecastEvidence:
+        """What a diagnosis by forecasts rests on.
+
+        Raises:
+            TypeError: effects were judged by windows.
+        """
+        if not isinstance(self.evidence, ForecastEvidence):
+            raise TypeError("a diagnosis by forecasts is needed, but effects were judged by windows")
+        return self.evidence
+
+    @property
     def negligible(self) -> tuple[EffectEstimate, ...]:
         """Effects found by windows that too little goes with; forecasts look for none further."""
-        return () if self.by_forecasts else self.evidence.negligible
+        return self.evidence.negligible if isinstance(self.evidence, WindowEvidence) else ()
 
     def is_believed(self, estimate: EffectEstimate) -> bool:
         """Whether an effect was added to the source."""
@@ -150,12 +161,15 @@ class ImageDiagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``effects.json``."""
-        in_control = () if self.by_forecasts else self.evidence.found_in_control
-        allowance = (
-            {"unknown_error": self.evidence.unknown_error, "forecasts": True}
-            if self.by_forecasts
-            else {"unknown_gain": self.evidence.unknown_gain}
-        )
+        in_control: tuple[EffectEstimate, ...] = ()
+        allowance: dict[str, float] = {}
+        example: dict[str, Any] = {}
+        if isinstance(self.evidence, ForecastEvidence):
+            allowance = {"unknown_error": self.evidence.unknown_error, "forecasts": True}
+            example = {"example": self.evidence.example.to_dict()}
+        else:
+            allowance = {"unknown_gain": self.evidence.unknown_gain}
+            in_control = self.evidence.found_in_control
         return {
             "effects": [e.to_dict() for e in self.effects],
             "disbelieved": [e.to_dict() for e in self.rejected],
@@ -172,7 +186,7 @@ class ImageDiagnosis:
             "after": self.after,
             "target": {name: c.to_dict() for name, c in self.target.items()},
             "control": {name: c.to_dict() for name, c in self.control.items()},
-            **({"example": self.evidence.example.to_dict()} if self.by_forecasts else {}),
+            **example,
         }
 
     @classmethod
@@ -192,6 +206,7 @@ class ImageDiagnosis:
         def channels(key: str) -> dict[str, ChannelError]:
             return {name: ChannelError(**c) for name, c in entry[key].items()}
 
+        evidence: WindowEvidence | ForecastEvidence
         if entry.get("forecasts"):
             evidence = ForecastEvidence(entry["unknown_error"], ForecastExample.from_dict(entry["example"]))
         else:

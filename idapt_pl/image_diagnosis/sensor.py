@@ -50,7 +50,8 @@ class ImageSensor:
 
     def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
         """``qpos`` (T+1, nq) and ``qvel`` (T+1, nv) of one episode; ``G`` shows the sensor source images."""
-        images = FrameStacks([episode if G is None else G.translate_episode(episode)], self.frame_stack)
+        shown = Trajectories((episode if G is None else G.translate_episode(episode),), dt)
+        images = FrameStacks(shown, self.frame_stack)
         return self.task.motion(estimate_states(images, self.predictor), dt)
 
 

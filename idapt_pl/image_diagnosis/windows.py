@@ -87,7 +87,7 @@ def beyond_the_control(target: Mapping[str, ChannelError], control: Mapping[str,
         control: the same, where nothing is missing.
     """
     ratios = {name: c.before / control[name].before for name, c in target.items()}
-    worst = max(ratios, key=ratios.get)
+    worst = max(ratios, key=lambda name: ratios[name])
     beyond = target[worst].before - control[worst].before
     removed = target[worst].before - target[worst].after
     return ratios[worst], removed / beyond if beyond > 0 else 0.0
@@ -135,7 +135,8 @@ def drop_unconvincing(
     Returns:
         It, and the effects left out.
     """
-    kept, negligible = diagnose_target(most), ()
+    kept = diagnose_target(most)
+    negligible: tuple[EffectEstimate, ...] = ()
     while (count := len(kept.estimates)) > 1:
         fewer = diagnose_target(count - 1)
         if is_worth_adding(fewer, kept, control):
@@ -150,7 +151,7 @@ def is_sensor_error(estimate: EffectEstimate, found_in_control: Sequence[EffectE
     """Whether an effect is found in the control too, and half as much of it at least."""
 
     def change(e: EffectEstimate) -> float:
-        return max(abs(p.estimate - p.nominal) for p in e.parameters.values())
+        return max(abs(float(p.estimate) - float(p.nominal)) for p in e.parameters.values())
 
     return any(change(e) > 0.5 * change(estimate) for e in found_in_control if e.key == estimate.key)
 

@@ -83,7 +83,9 @@ def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
             rows.append(row(*cells))
     if not rows:
         return ""
-    heads = ("effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "could also be")
+    heads: tuple[str, ...] = (
+        "effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "could also be",
+    )  # fmt: skip
     if not any(e.equivalent for e in result.effects):
         heads, rows = heads[:-1], [r.replace("<td></td></tr>", "</tr>") for r in rows]
     return section("Effects to add", table(heads, rows))

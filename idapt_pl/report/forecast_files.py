@@ -59,7 +59,7 @@ def log_forecast_diagnosis(folder: Path, diagnosis: ImageDiagnosis, report: dict
         for name in ("before", "after", "noise_floor", "removed_share"):
             writer.add_scalar(f"error/{name}", report["error"][name], 0)
         writer.add_text("verdict", " ".join(forecast_verdict(report, model)), 0)
-        writer.add_figure("forecasts", forecast_figure(diagnosis.evidence.example), 0)
+        writer.add_figure("forecasts", forecast_figure(diagnosis.forecast_evidence.example), 0)
 
 
 def forecast_report(diagnosis: ImageDiagnosis, declared: Sequence[Effect], runtime: float) -> dict:
@@ -70,7 +70,7 @@ def forecast_report(diagnosis: ImageDiagnosis, declared: Sequence[Effect], runti
         declared: effects given beforehand.
         runtime: s.
     """
-    horizon = FORECAST_STEPS * diagnosis.evidence.example.dt
+    horizon = FORECAST_STEPS * diagnosis.forecast_evidence.example.dt
     return {
         "schema": "idapt.diagnosis/1",
         "verdict": "effects_found" if diagnosis.effects else "no_missing_effect",

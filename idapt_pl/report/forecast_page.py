@@ -56,7 +56,7 @@ def forecast_page(
     rows = effect_rows(diagnosis, model, "in patched.xml")
     forecasts = (
         residual_paragraph(diagnosis),
-        forecast_picture(diagnosis.evidence.example),
+        forecast_picture(diagnosis.forecast_evidence.example),
         channel_details(diagnosis),
     )
     parts = [

@@ -7,7 +7,7 @@ import mujoco
 from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
-from idapt_pl.image_diagnosis.result import ForecastExample
+from idapt_pl.image_diagnosis.result import ForecastEvidence, ForecastExample
 from idapt_pl.report.html import details, figure, paragraph, row, scrollable, table
 from idapt_pl.report.plots import svg
 from idapt_pl.report.run_figures import forecast_figure
@@ -21,7 +21,7 @@ def found_effects_section(diagnosis: ImageDiagnosis, model: mujoco.MjModel) -> s
     none = "Effects that the source lacks were looked for in the target's images; none was found."
     parts = [residual_paragraph(diagnosis), table(EFFECT_HEADS, rows) if rows else paragraph(none)]
     if diagnosis.by_forecasts:
-        parts.append(forecast_picture(diagnosis.evidence.example))
+        parts.append(forecast_picture(diagnosis.forecast_evidence.example))
     return "".join([*parts, channel_details(diagnosis)])
 
 
@@ -86,7 +86,7 @@ def channel_details(diagnosis: ImageDiagnosis) -> str:
     rows = []
     for name, error in diagnosis.target.items():
         control = diagnosis.control.get(name)
-        values = (error.noise, error.before, error.after, control and control.before)
+        values = (error.noise, error.before, error.after, control.before if control else None)
         rows.append(row(name, error.unit, *("#-" if v is None else f"#{format_number(v)}" for v in values)))
     does = "forecasts" if diagnosis.by_forecasts else "replays"
     note = paragraph(
@@ -108,7 +108,7 @@ def excluded_sentence(diagnosis: ImageDiagnosis) -> str:
 
 def allowance_sentence(diagnosis: ImageDiagnosis) -> str:
     """What intervals allow for beside chance."""
-    if diagnosis.by_forecasts:
+    if isinstance(diagnosis.evidence, ForecastEvidence):
         percent = format_number(100 * diagnosis.evidence.unknown_error)
         return f" Intervals allow for {percent} % by which G and the sensor may mislead an estimate."
     if not diagnosis.evidence.unknown_gain:
