@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import yaml
@@ -150,7 +151,7 @@ def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def read_effect(entry: object) -> Effect:
+def read_effect(entry: Any) -> Effect:
     """One entry of an effects file."""
     if isinstance(entry, Mapping):
         if not isinstance(entry.get("effect", ""), str):

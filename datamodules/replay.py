@@ -19,7 +19,9 @@ TRANSITION = ("observation", "state", "actions", "rewards", "terminations", "nex
 class Act(Protocol):
     """Acts in an environment."""
 
-    recent_return: float
+    @property
+    def recent_return(self) -> float:
+        """Mean return of the last episodes."""
 
     def __call__(self) -> Transitions:
         """Advance by one step; n transitions."""

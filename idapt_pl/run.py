@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lightning as L
 import numpy as np
 import yaml
 from jsonargparse import ArgumentParser, Namespace
@@ -33,7 +32,7 @@ from idapt_pl.worlds import Worlds
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
 """Constructor arguments that the task and the data determine, never typed in a config."""
 
-MODULES: dict[str, type[L.LightningModule]] = {
+MODULES: dict[str, type] = {
     "state_predictor": StatePredictor,
     "visual": VisualTransformation,
     "dynamics": ActionTransformation,
@@ -276,7 +275,7 @@ class Run:
     def load_estimator(self) -> PixelStatePredictor:
         """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
         G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
-        return self.load_policy(made[-1]).estimator(G) if made else G.P_T
+        return self.load_policy(made[-1]).estimator(G) if made else G.estimator
 
 
 def module_factories(config: RunConfig) -> ModuleFactories:

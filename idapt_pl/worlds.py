@@ -75,9 +75,8 @@ class Worlds:
     def dimensions(self) -> dict[str, Any]:
         """What the modules' constructors take from the task and the data."""
         env = self.source(1)
-        state_dim = env.single_observation_space["state"].shape[0]
         env.close()
-        sizes = {"state_dim": state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
+        sizes = {"state_dim": env.state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
         return sizes | {"rates": dict(self.task.rates), "dt": env.dt}
 
     @property

@@ -40,6 +40,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
     """
 
+    single_action_space: gymnasium.spaces.Box
     single_observation_space: gymnasium.spaces.Dict
     observation_space: gymnasium.spaces.Dict
 
@@ -64,11 +65,11 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
 
         self._limits = low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = gymnasium.spaces.Box(low, high)
-        state_dim = len(task.state(self.model, self.data[0]))
+        self.state_dim = len(task.state(self.model, self.data[0]))
         self.single_observation_space = gymnasium.spaces.Dict(
             {
                 "pixels": gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8),
-                "state": gymnasium.spaces.Box(-np.inf, np.inf, (state_dim,), np.float32),
+                "state": gymnasium.spaces.Box(-np.inf, np.inf, (self.state_dim,), np.float32),
             }
         )
         self.action_space = batch_space(self.single_action_space, num_envs)

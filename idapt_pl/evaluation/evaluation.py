@@ -108,14 +108,19 @@ class Evaluation:
     def summary(self, steps: int) -> dict:
         """Write and return ``summary.json``."""
 
-        def read(step: int, name: str) -> dict | None:
-            path = self.stages.folder(step) / f"{name}.json"
-            return json.loads(path.read_text()) if path.exists() else None
+        def path(step: int, name: str) -> Path:
+            return self.stages.folder(step) / f"{name}.json"
+
+        def read(step: int, name: str) -> dict:
+            return json.loads(path(step, name).read_text())
+
+        def read_if_there(step: int, name: str) -> dict | None:
+            return read(step, name) if path(step, name).exists() else None
 
         evaluations = [read(k, "evaluation") for k in range(steps + 1)]
-        selections = {k: read(k, "selection") for k in range(1, steps + 1)}
-        oracle = read(0, "oracle_evaluation")
-        found = [(k, read(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
+        selections = {k: read_if_there(k, "selection") for k in range(1, steps + 1)}
+        oracle = read_if_there(0, "oracle_evaluation")
+        found = [(k, read_if_there(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
         stages = self.stages.timings()
         summary = {
             "task": self.worlds.task.name,

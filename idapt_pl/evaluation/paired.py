@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.worlds import Worlds
 
@@ -47,8 +48,11 @@ def paired_stacks(
     """
     env, twin = worlds.grounded(1, G), worlds.rewarded_target(1)
     obs, _ = env.reset(seed=seed)
-    data = env.unwrapped.data[0]
-    sources, targets, states, history = [], [], [], []
+    source = env.unwrapped
+    assert isinstance(source, VectorImageEnv)  # what a grounded environment wraps
+    data = source.data[0]
+    sources, targets, states = [], [], []
+    history: list[np.ndarray] = []
     fresh = True
     for _ in range(steps):
         frame = twin.show(0, data)

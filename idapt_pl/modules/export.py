@@ -30,9 +30,7 @@ class Translator(nn.Module):
 
     def __init__(self, visual: VisualTransformation, back: bool = False) -> None:
         super().__init__()
-        if back and visual.G_back is None:
-            raise ValueError("this model is one-sided (contrastive): it translates source images to the target only")
-        self.net, self.frames = visual.G_back if back else visual.translator, visual.frames
+        self.net, self.frames = visual.backwards if back else visual.translator, visual.frames
 
     def forward(self, pixels: UInt8[Tensor, "b k h w 3"]) -> UInt8[Tensor, "b k h w 3"]:
         """Translated frames; K is 1, or the whole stack where G sees stacks."""

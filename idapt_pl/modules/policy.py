@@ -103,7 +103,7 @@ class AsymmetricSAC(SAC):
 
     def estimator(self, G: VisualTransformation) -> PixelStatePredictor:
         """What estimates states from target images: the supervised encoder, else P^T."""
-        return self.actor.encoder if self.supervised else G.P_T
+        return self.actor.encoder if self.supervised else G.estimator
 
     @torch.no_grad()
     def encode(self, pixels: np.ndarray) -> Tensor:

@@ -129,7 +129,7 @@ class VisualTransformation(ManualModule):
         patches = (channels, discriminator_width, discriminator_layers)
         self.D_T = PatchDiscriminator(*patches)
         self.D_S = None if self.one_sided else PatchDiscriminator(*patches)
-        self.P_T = None
+        self.P_T: PixelStatePredictor | None = None
         if state_dim:
             self.P_T = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
         self.pools = {"source": ImagePool(pool_size), "target": ImagePool(pool_size)}
@@ -170,9 +170,27 @@ class VisualTransformation(ManualModule):
         """G as it is used after training: the average of its weights, if there is one."""
         return self.G if self.G_average is None else self.G_average.module
 
+    @property
+    def backwards(self) -> ResnetGenerator:
+        """The way back, target to source.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        if self.G_back is None:
+            raise ValueError("this model is one-sided (contrastive): it translates source images to the target only")
+        return self.G_back
+
+    @property
+    def estimator(self) -> PixelStatePredictor:
+        """P^T, where there is a state to estimate."""
+        assert self.P_T is not None, "this model was made without a state: state_dim is 0"
+        return self.P_T
+
     def prepare_nets(self, channels_last: bool, compile_nets: bool) -> None:
         """Memory layout and compilation, which change speed and nothing else."""
-        for net in filter(None, (self.G, self.G_back, self.D_T, self.D_S)):
+        nets: tuple[torch.nn.Module | None, ...] = (self.G, self.G_back, self.D_T, self.D_S)
+        for net in filter(None, nets):
             if channels_last:
                 net.to(memory_format=torch.channels_last)
             if compile_nets:
@@ -199,10 +217,8 @@ class VisualTransformation(ManualModule):
 
     def translate_stacks(self, pixels: Tensor, back: bool = False) -> Tensor:
         """Whole stacks, uint8 (B, K, H, W, 3) to the same; ``back`` takes target images to the source's look."""
-        if back and self.G_back is None:
-            raise ValueError("this model is one-sided (contrastive): it translates source images to the target only")
         k = pixels.shape[1]
-        net = self.G_back if back else self.translator
+        net = self.backwards if back else self.translator
         groups = pixels.unflatten(1, (k // self.frames, self.frames)).flatten(0, 1)
         with fast_precision(self.device, self.hparams.bf16):
             fake = net(stack_channels(groups))
@@ -226,7 +242,7 @@ class VisualTransformation(ManualModule):
 
     def on_fit_start(self) -> None:
         """Set the backgrounds of new generators from the training images."""
-        if not self.hparams.background or self.G.background.any():  # else a fit that goes on
+        if self.G.background is None or self.G.background.any():  # else a fit that goes on
             return
         means = mean_images(self.trainer.datamodule.train_dataloader(), self.frames)
         self.G.start_from(means["target"].to(self.device))
@@ -292,11 +308,11 @@ class VisualTransformation(ManualModule):
         same_S, same_T = (real_S, real_T) if w.identity_weight else (None, None)
         to_T = through(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
         to_S: dict[str, Tensor | None] = {}
-        if not self.one_sided:
+        if self.G_back is not None:
             to_S = through(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
         fake_T, fake_S = to_T["S"], to_S.get("T")
         parts = {"g_target": gan(self.D_T(fake_T), True)}
-        if fake_S is not None:
+        if fake_S is not None and self.D_S is not None:
             parts["g_source"] = gan(self.D_S(fake_S), True)
         parts |= self.image_losses(to_T, to_S, real_S, real_T, resets)
         if w.contrastive_weight:
@@ -316,7 +332,7 @@ class VisualTransformation(ManualModule):
             resets: first observations, source and target.
         """
         pairs = {"cycle": [], "identity": [(to_T["T"], real_T)], "reset": [(to_T["reset"], resets[1])]}
-        if to_S:
+        if to_S and self.G_back is not None:
             pairs["cycle"] += [(self.G_back(to_T["S"]), real_S), (self.G(to_S["T"]), real_T)]
             pairs["identity"] += [(to_S["S"], real_S)]
             pairs["reset"] += [(to_S["reset"], resets[0])]
@@ -339,6 +355,7 @@ class VisualTransformation(ManualModule):
     def contrast(self, fake_T: Tensor, real_S: Tensor) -> Tensor:
         """Mean contrastive loss of patches over the layers that :attr:`H` looks at (CUT, eq. 4)."""
         queries, keys = (self.G.features(x, self.nce_layers) for x in (fake_T, real_S))
+        assert self.H is not None  # made with contrastive_weight
         pairs = self.H(queries, keys)
         return sum(patch_nce(query, key) for query, key in pairs) / len(pairs)
 
@@ -374,7 +391,7 @@ class VisualTransformation(ManualModule):
         S, T = (self.adversarial_input(batch[d])[:4] for d in ("source", "target"))
         with fast_precision(self.device, self.hparams.bf16):
             fake = self.G(S)
-            rows = [S, fake, T] if self.one_sided else [S, fake, self.G_back(fake), T, self.G_back(T)]
+            rows = [S, fake, T] if self.G_back is None else [S, fake, self.G_back(fake), T, self.G_back(T)]
         grid = make_grid(torch.cat(rows)[:, -3:].float().cpu() / 2 + 0.5, nrow=len(S))
         name = "source_translated_target" if self.one_sided else "source_translated_cycled_target_back"
         self.logger.experiment.add_image(f"visual/{name}", grid, index)
@@ -390,7 +407,8 @@ class VisualTransformation(ManualModule):
     def configure_optimizers(self) -> tuple[list, list]:
         w = self.hparams
         trainable = []
-        for net in filter(None, (self.G, self.G_back, self.P_T, self.H)):
+        nets: tuple[torch.nn.Module | None, ...] = (self.G, self.G_back, self.P_T, self.H)
+        for net in filter(None, nets):
             trainable += [p for p in net.parameters() if p.requires_grad]
         opt_g = torch.optim.Adam(trainable, lr=w.lr_generator, betas=tuple(w.betas), fused=True)
         discriminators = [p for D in filter(None, (self.D_T, self.D_S)) for p in D.parameters()]

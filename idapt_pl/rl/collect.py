@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from gymnasium.vector import VectorEnv
 
 from datamodules import Episode, Trajectories
+from idapt_pl.envs import ImageEnv
 from idapt_pl.rl.policy import Policy, tick
 
 
-def collect(env: VectorEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
+def collect(env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
     """Exactly ``steps`` control steps, cut into episodes; the last one of each simulation may be unfinished.
 
     States and rewards are recorded where the environment shows them, which the target does not.
@@ -23,17 +23,17 @@ def collect(env: VectorEnv, act: Policy, steps: int, seed: int, source: str, pix
         pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
     """
     episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels))
-    return Trajectories(episodes, env.unwrapped.dt, source)
+    return Trajectories(episodes, env.dt, source)
 
 
-def collect_each(env: VectorEnv, act: Policy, steps: int, seed: int) -> list[Trajectories]:
+def collect_each(env: ImageEnv, act: Policy, steps: int, seed: int) -> list[Trajectories]:
     """As :func:`collect`, but ``steps`` of every simulation, each one's episodes on their own."""
     played = play(env, act, steps * env.num_envs, seed, "pixels")
     of_each = [tuple(episode for i, episode in played if i == n) for n in range(env.num_envs)]
-    return [Trajectories(episodes, env.unwrapped.dt, "") for episodes in of_each]
+    return [Trajectories(episodes, env.dt, "") for episodes in of_each]
 
 
-def play(env: VectorEnv, act: Policy, steps: int, seed: int, pixels: str) -> list[tuple[int, Episode]]:
+def play(env: ImageEnv, act: Policy, steps: int, seed: int, pixels: str) -> list[tuple[int, Episode]]:
     """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
     obs, _ = env.reset(seed=seed)
     labelled = "state" in obs
@@ -57,7 +57,10 @@ def play(env: VectorEnv, act: Policy, steps: int, seed: int, pixels: str) -> lis
 class _EpisodeBuilder:
     def __init__(self, obs: dict[str, np.ndarray], i: int, pixels: str) -> None:
         self.pixels = pixels
-        self.frames, self.states, self.actions, self.outcomes = [], [], [], []
+        self.frames: list[np.ndarray] = []
+        self.states: list[np.ndarray] = []
+        self.actions: list[np.ndarray] = []
+        self.outcomes: list[tuple] = []
         self._see(obs, i)
 
     def _see(self, obs: dict[str, np.ndarray], i: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from gymnasium.vector import VectorEnv
@@ -25,7 +26,7 @@ class Experience:
 
     def __init__(self, env: VectorEnv, policy: SAC, seed: int, random: bool = False) -> None:
         self.env, self.policy = env, policy
-        self.act = policy.act_on
+        self.act: Callable[[dict[str, np.ndarray]], np.ndarray] = policy.act_on
         if random:
             draw = random_policy(env, seed)
             self.act = lambda seen: draw(seen["observation"])

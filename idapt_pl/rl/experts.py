@@ -24,9 +24,8 @@ def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stage
     """SAC on states in one domain; a policy that is in the stages' folder is loaded instead."""
     env = VectorStateEnv(task, domain, recipe.num_envs)
     low, high = (bound.tolist() for bound in (env.single_action_space.low, env.single_action_space.high))
-    state_dim = env.single_observation_space["state"].shape[0]
     with closing(env):
-        build = lambda: StateSAC(state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
+        build = lambda: StateSAC(env.state_dim, low, high, gamma=recipe.gamma)  # noqa: E731
         return fit_expert(build, lambda device: env, recipe, stages, 0, name)
 
 

@@ -5,16 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.policy import Policy
 
 
+def _bounds(env: VectorEnv) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds of the actions of all simulations, (n, nu) each."""
+    space = env.action_space
+    assert isinstance(space, Box)  # actions are continuous
+    return space.low, space.high
+
+
 def random_policy(env: VectorEnv, seed: int) -> Policy:
     """Uniform actions within the bounds."""
     rng = np.random.default_rng(seed)
-    low, high = env.action_space.low, env.action_space.high
+    low, high = _bounds(env)
     return lambda pixels: rng.uniform(low, high).astype(np.float32)
 
 
@@ -24,7 +32,7 @@ def babbling_policy(env: VectorEnv, seed: int) -> Policy:
     Plain uniform actions at full strength shake a system so hard that slow motion is never seen.
     """
     rng = np.random.default_rng(seed)
-    low, high = env.action_space.low, env.action_space.high
+    low, high = _bounds(env)
     center, half_range = (high + low) / 2, (high - low) / 2
     amplitude, offset = np.zeros((2, *low.shape))
 

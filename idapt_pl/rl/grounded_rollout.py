@@ -38,6 +38,7 @@ def garat_rollout(
     def choose(features: Tensor, pixels: np.ndarray) -> Tensor:
         actions = policy(features)
         if exploring:
+            assert explore is not None  # given where some explore
             actions[:exploring] = torch.from_numpy(explore(pixels)[:exploring]).to(device)
         return actions
 

@@ -10,7 +10,7 @@ import torch
 
 from datamodules import Trajectories
 from idapt_pl.envs import VectorStateEnv
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
 from idapt_pl.rl.policy import Policy
@@ -30,7 +30,7 @@ def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) ->
         return EXPLORATION[exploration](env, seed)
 
 
-def source_teacher(c: StageContext):
+def source_teacher(c: StageContext) -> StateSAC:
     """The teacher as it is before any grounding; training it is a stage of its own."""
     return c.teacher.of_the_source(c.new_policy)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -165,14 +166,14 @@ class Distillation:
         """The teacher, trained in the source and after that in whatever dynamics are new."""
         dynamics = (self.worlds.source_domain, F)
         known, fresh = self.expert, self.expert is None
-        if not fresh and (dynamics == self._dynamics or not self.settings.adapt):
+        if known is not None and (dynamics == self._dynamics or not self.settings.adapt):
             return known
         policy = build().hparams  # its critics are to be the student's
         recipe = replace(self.worlds.task.expert, gamma=policy.gamma)
         recipe = replace(recipe, steps=self.settings.steps if fresh else self.settings.adapt)
 
         def build_expert() -> StateSAC:
-            bounds = self.worlds.action_bounds
+            bounds: dict[str, Any] = self.worlds.action_bounds
             same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
             expert = StateSAC(policy.state_dim, **bounds, **same)
             if known is not None:
@@ -189,7 +190,7 @@ class Distillation:
     def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
         """The teacher as it is before any grounding; it trains now, if it has not yet."""
         if self._first is None:
-            self.up_to_date(0, "source_teacher", build, lambda device: None, None)
+            return self.up_to_date(0, "source_teacher", build, lambda device: self.worlds.source(self.num_envs), None)
         return self._first
 
 

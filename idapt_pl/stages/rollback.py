@@ -156,7 +156,7 @@ class Rollback:
 def compare_transformations(
     worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation,
     F_before: ActionTransformation | None, target: Path, seed: int,
-) -> dict:  # fmt: skip
+) -> RollbackDecision:  # fmt: skip
     """The grounded source with a new F against that with the one before.
 
     Args:

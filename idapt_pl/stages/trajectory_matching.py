@@ -17,6 +17,7 @@ from mujoco import rollout
 from torch import Tensor
 
 from idapt_pl.estimation.least_squares import huber_weights, project_out
+from idapt_pl.modules import ActionTransformation
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -158,7 +159,7 @@ class TrajectoryMatching:
 
 @torch.no_grad()
 def initialise_by_matching(
-    F,
+    F: ActionTransformation,
     task: Task,
     model: mujoco.MjModel,
     states: Tensor,
