@@ -224,5 +224,5 @@ def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> 
         table.add_column(title, justify=how, overflow="fold")
     for e in effects:
         for cells in estimate_cells(e, model):
-            table.add_row(*map(escape, (phrase_at(e.effect, e.target), *cells)))
+            table.add_row(*map(escape, (phrase_at(*e.key), *cells)))
     return [table] if effects else []

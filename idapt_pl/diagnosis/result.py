@@ -105,7 +105,7 @@ class EffectEstimate:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Effect and target."""
+        """Effect and target, which tell it from others."""
         return self.effect, self.target
 
     def to_dict(self) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
     for e in result.effects:
         others = listing(phrase_at(a.effect, a.target) for a in e.equivalent) if e.equivalent else ""
         for i, (name, value, interval, unit, nominal) in enumerate(estimate_cells(e, model)):
-            what = phrase_at(e.effect, e.target) if i == 0 else ""
+            what = phrase_at(*e.key) if i == 0 else ""
             cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", others if i == 0 else "")
             rows.append(row(*cells))
     if not rows:
@@ -149,7 +149,7 @@ def model_difference_section(repaired: RepairedModel, declared: bool) -> str:
 def candidates_section(diagnosis: Diagnosis) -> str:
     """Everything tried, ranked in each round, and why it lost."""
     trials = sorted(diagnosis.trials, key=lambda t: (t.round, -t.score))
-    kept = {(e.effect, e.target, *e.parameters) for e in diagnosis.result.effects}
+    kept = {(*e.key, *e.parameters) for e in diagnosis.result.effects}
     rows, last = [], None
     for t in trials:
         if t.round != last:

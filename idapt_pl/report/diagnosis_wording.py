@@ -124,14 +124,14 @@ def effect_sentence(effect: EffectEstimate, model: mujoco.MjModel) -> str:
         words += f" (95 %: {interval})" if interval else ""
         words += f" instead of {nominal_in_words(p)}" if p.nominal not in (0, p.estimate) else ""
         parts.append(words)
-    return f"{phrase_at(effect.effect, effect.target)}, {', '.join(parts)}"
+    return f"{phrase_at(*effect.key)}, {', '.join(parts)}"
 
 
 def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
     """Which effects are one of several that explain the data equally well."""
     sentences = []
     for e in effects:
-        own = phrase_at(e.effect, e.target)
+        own = phrase_at(*e.key)
         others = [phrase_at(a.effect, a.target) for a in e.equivalent]
         if others:
             others = ["another form of it" if o == own else o for o in others]

@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 CLEARLY_BETTER = 1.5
 """A law is preferred to a simpler one if the simpler one leaves this many times as much on held-out episodes."""
 
+STATE_STEP, PARAMETER_STEP = 1e-4, 1e-3
+"""Steps of the differences by first states and by parameters."""
 MOST_MOVE, MOST_KICK = 0.05, 1.0
 """What a step changes first positions (m or rad) and velocities (per second) by at most."""
 
@@ -125,7 +127,8 @@ class TrajectoryMatching:
         p, starts, scale = parameters.astype(float).copy(), self.seen_starts(), 1.0
         for _ in range(iterations):
             left, S, J = self.linearise(p, free, starts)
-            r, K = (project_out(np.linalg.qr(S)[0], v) for v in (left[..., None], J))
+            Q = np.linalg.qr(S)[0]
+            r, K = project_out(Q, left[..., None]), project_out(Q, J)
             scale = 1.4826 * float(np.median(np.abs(r)))
             weighted = K * (huber_weights(r, 3 * scale) / scale**2)
             H, g = np.einsum("nij,nik->jk", weighted, K), np.einsum("nij,ni->j", weighted, r[..., 0])
@@ -150,9 +153,9 @@ class TrajectoryMatching:
         """
         base = self.replay(p, starts.qpos, starts.qvel)
         nq = starts.qpos.shape[1]
-        steps = 1e-4 * np.eye(nq + starts.qvel.shape[1])
-        S = [(self.replay(p, starts.qpos + s[:nq], starts.qvel + s[nq:]) - base) / 1e-4 for s in steps]
-        J = [(self.replay(p + s, starts.qpos, starts.qvel) - base) / 1e-3 for s in 1e-3 * np.eye(len(p))[free]]
+        of_state, of_p = STATE_STEP * np.eye(nq + starts.qvel.shape[1]), PARAMETER_STEP * np.eye(len(p))[free]
+        S = [(self.replay(p, starts.qpos + s[:nq], starts.qvel + s[nq:]) - base) / STATE_STEP for s in of_state]
+        J = [(self.replay(p + s, starts.qpos, starts.qvel) - base) / PARAMETER_STEP for s in of_p]
         left = self.seen.qpos.reshape(len(base), -1) - base
         return left, np.stack(S, -1), np.stack(J, -1) if J else np.zeros((*base.shape, 0))
 

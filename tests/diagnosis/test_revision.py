@@ -1,0 +1,95 @@
+"""Early choices are reopened: a rival takes a place, and what is needless goes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.revision import eliminate_needless, swap_one, with_rival
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+
+N = 40
+
+
+def on(joint, kind=JointDamping, name="damping"):
+    return Candidate(kind, joint, (name,), (0.0,), (0.1,))
+
+
+A, B, C = on("a"), on("b"), on("c")
+RIVAL = on("a", JointArmature, "armature")
+
+
+def accepted(*candidates):
+    windows = Windows(np.repeat(np.arange(8), 5), np.arange(N), np.array([1]))
+    held_out = WhitenedWindows(windows, np.zeros((N, 1, 1)))
+    found = tuple(AcceptedEffect(k, c, np.array([0.5])) for k, c in enumerate(candidates))
+    return SearchState((), found, SimpleNamespace(held_out=held_out, fit=held_out))
+
+
+def context(loss):
+    """A search in which ``loss(names)`` is what effects on these (kind, target) leave; fits keep where they start."""
+    rng = np.random.default_rng(0)
+    noise = 0.001 * rng.normal(size=N)
+    return SimpleNamespace(
+        settings=SearchSettings(numerics=False), numerics_declared=False, progress=lambda what, done: None,
+        loss=lambda split, effects: loss({(e.name, e.target) for e in effects}) + noise,
+        fit=lambda split, fixed, candidates, x, iterations: SimpleNamespace(x=tuple(x)),
+    )  # fmt: skip
+
+
+def names(state):
+    return [c.label for c in state.candidates]
+
+
+def test_what_the_others_can_do_without_is_left_out():
+    needed = {("joint_damping", "b")}
+    state = eliminate_needless(context(lambda found: 1.0 if needed <= found else 5.0), accepted(A, B, C))
+    assert names(state) == ["joint_damping(b)"]
+
+
+def test_what_helps_stays():
+    state = accepted(A, B)
+    kept = eliminate_needless(context(lambda found: 5.0 - 2 * len(found)), state)
+    assert names(kept) == ["joint_damping(a)", "joint_damping(b)"]
+
+
+def test_the_last_effect_stays_even_if_it_does_nothing():
+    assert names(eliminate_needless(context(lambda found: 1.0), accepted(A, B))) == ["joint_damping(b)"]
+
+
+def test_a_rival_takes_the_place_and_the_others_keep_theirs():
+    old = accepted(A, B, C)
+    new = with_rival(old, old.accepted[1], RIVAL, [np.array([1.0]), np.array([3.0]), np.array([2.0])])
+    assert names(new) == ["joint_damping(a)", "joint_armature(a)", "joint_damping(c)"]
+    assert np.concatenate(new.estimates).tolist() == [1.0, 2.0, 3.0]
+    assert [e.round for e in new.accepted] == [0, 1, 2] and new.accepted[1].equivalent == ()
+    assert names(old) == ["joint_damping(a)", "joint_damping(b)", "joint_damping(c)"]
+
+
+def test_a_rival_that_is_not_clearly_better_changes_nothing():
+    state = accepted(A, B)
+    trial = Trial(RIVAL, 0, 10.0, (np.array([0.2]),), gain=1.0)
+    assert swap_one(context(lambda found: 2.0), state, 0, [trial]) is state
+
+
+@pytest.mark.parametrize(("better", "swapped"), [(1.0, True), (1.98, False)])
+def test_a_rival_has_to_remove_a_noticeable_part(better, swapped, monkeypatch):
+    monkeypatch.setattr("idapt_pl.diagnosis.revision.renew", lambda context, state: state)
+    state, trial = accepted(A, B), Trial(RIVAL, 0, 10.0, (np.array([0.2]),), gain=1.0)
+    search = context(lambda found: better if ("joint_armature", "a") in found else 2.0)
+    now = swap_one(search, state, 0, [trial])
+    assert (names(now)[0] == "joint_armature(a)") is swapped
+
+
+def test_more_parameters_have_to_be_worth_it(monkeypatch):
+    monkeypatch.setattr("idapt_pl.diagnosis.revision.renew", lambda context, state: state)
+    wide = Candidate(JointFrictionloss, "a", ("frictionloss",) * 8, (0.0,) * 8, (0.1,) * 8)
+    state, trial = accepted(A, B), Trial(wide, 0, 10.0, (np.full(8, 0.2),), gain=1.0)
+    search = context(lambda found: 1.5 if ("joint_frictionloss", "a") in found else 2.0)
+    assert swap_one(search, state, 0, [trial]) is state
