@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from datamodules.trajectories import Trajectories
+from datamodules.trajectories import Episode, Trajectories
 
 
 class FrameStacks(Dataset):
@@ -16,12 +18,14 @@ class FrameStacks(Dataset):
     past the first frame of its episode (that frame is repeated instead, as an environment does).
 
     Args:
-        trajectories: with ``pixels``.
+        trajectories: episodes with ``pixels``.
         frame_stack: K.
         labels: name of another observation to give along as float32, for example ``"state"``, or None.
     """
 
-    def __init__(self, trajectories: Trajectories, frame_stack: int, labels: str | None = None) -> None:
+    def __init__(
+        self, trajectories: Trajectories | Sequence[Episode], frame_stack: int, labels: str | None = None
+    ) -> None:
         self.frames = np.concatenate([e.observations["pixels"] for e in trajectories])
         self.labels: np.ndarray | None = None
         if labels is not None:
