@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from quick import ROOT, run
 from tables import read_rows, replace_rows
 
-from idapt_pl.report.diagnosis_figures import AFTER, BEFORE, STYLE
+from idapt_pl.report.plots import AFTER, BEFORE, STYLE
 
 COMMON = ("target", "source", "state_predictor", "source_policy", "source_teacher", "source_student", "visual",
           "translated", "estimator", "direct_transfer")  # fmt: skip

@@ -36,8 +36,8 @@ from tables import replace_rows
 from cli.provenance import git_commit
 from idapt_pl.run import Run
 from datamodules import Episode, write_trajectories
-from idapt_pl.image_diagnosis import discover_effects
-from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.image_diagnosis import DiscoverySettings, ImageDiagnosis, discover_effects
+from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.effects import Domain, visual
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.base import ACTUATED, Effect
@@ -47,7 +47,6 @@ from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.rl.collect import collect
-from idapt_pl.image_diagnosis.sensor import ImageSensor
 
 CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
     "inverted_pendulum": {
@@ -135,27 +134,28 @@ def record(run: Run, domain: Domain, path: Path, steps: int, seed: int) -> None:
         write_trajectories(path, collect(env, run.grounding.explore(seed), steps, seed, path.stem))
 
 
-def score(result: dict, hidden: tuple[Effect, ...]) -> dict:
+def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
     """Compare what was found with what was hidden."""
-    doubted = [*result["disbelieved"], *result["left_out"]]
-    found, disbelieved = (
-        " + ".join(f"{e['effect']}({e['target']})" for e in es) for es in (result["effects"], doubted)
-    )
+    believed, rejected = ([(e.name, e.target) for e in es] for es in (result.effects, result.rejected))
+    doubted = [*rejected, *(e.key for e in result.negligible)]
+    found, disbelieved = (" + ".join(f"{name}({target})" for name, target in keys) for keys in (believed, doubted))
     row = {"found": found, "disbelieved": disbelieved}
-    row |= {k: round(result[k], 3) for k in ("before", "after", "excess", "explained")}
-    if "control" in result["removed"]:  # forecasts seek nothing there
-        row |= {"removed_in_control": round(result["removed"]["control"], 3)}
+    row |= {k: round(getattr(result, k), 3) for k in ("before", "after", "excess", "explained")}
+    if "control" in result.removed:  # forecasts seek nothing there
+        row |= {"removed_in_control": round(result.removed["control"], 3)}
     if not hidden:
         return row | {"right": int(not found)}
     truth = hidden[0]
     parameter, value = next((k, v) for k, v in truth.to_dict()["parameters"].items())
     row |= {"truth": value, "right": 0}
-    for e in result["estimates"][:1]:
-        alternatives = [e, *e["equivalent"]]
-        row["right"] = int(any((a["effect"], a["target"]) == (truth.name, truth.target) for a in alternatives))
-        if p := e["parameters"].get(parameter) if (e["effect"], e["target"]) == (truth.name, truth.target) else None:
-            low, high = p["ci95"]
-            row |= {"estimate": p["estimate"], "low": low, "high": high, "covered": int(low <= value <= high)}
+    for e in result.estimates[:1]:
+        alternatives = [e.key, *((other["effect"], other["target"]) for other in e.equivalent)]
+        row["right"] = int((truth.name, truth.target) in alternatives)
+        if p := e.parameters.get(parameter) if e.key == (truth.name, truth.target) else None:
+            row["estimate"] = p.estimate
+            if p.ci95 is not None:
+                low, high = p.ci95
+                row |= {"low": low, "high": high, "covered": int(low <= value <= high)}
     return row
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from tables import read_rows, write_rows
 
 from cli.provenance import git_commit
-from idapt_pl.appearance.search import VisualEffects, find_visual_effects
+from idapt_pl.appearance import VisualEffects, find_visual_effects
 from idapt_pl.appearance.parameters import CameraParameter, visual_parameters
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.visual import Blur, Color, Light
@@ -61,8 +61,8 @@ def hidden(task: Task, case: str) -> tuple[Effect, ...]:
 
 
 def camera_of(task: Task) -> CameraParameter:
-    """The knob for the source's camera."""
-    return next(k for k in visual_parameters(task.domain("source").spec()) if isinstance(k, CameraParameter))
+    """The visual parameter of the source's camera."""
+    return next(p for p in visual_parameters(task.domain("source").spec()) if isinstance(p, CameraParameter))
 
 
 def bump(task: Task) -> np.ndarray:
@@ -78,23 +78,24 @@ def run(name: str, case: str, seed: int, episodes: int) -> dict:
     with closing(VectorImageEnv(task, target, 1, 64, 1)) as env:
         frames = np.concatenate([env.reset(seed=1000 * (seed + 1) + i)[0]["pixels"][:, 0] for i in range(episodes)])
     started = time.perf_counter()
-    looks = find_visual_effects(task, source, frames, seed)
-    row = {"task": name, "case": case, "seed": seed, "episodes": episodes, **score(task, looks, effects, case)}
+    result = find_visual_effects(task, source, frames, seed)
+    row = {"task": name, "case": case, "seed": seed, "episodes": episodes, **score(task, result, effects, case)}
     return row | {"seconds": round(time.perf_counter() - started, 1), "commit": git_commit()}
 
 
-def score(task: Task, looks: VisualEffects, effects: tuple[Effect, ...], case: str) -> dict:
+def score(task: Task, result: VisualEffects, effects: tuple[Effect, ...], case: str) -> dict:
     """Which of the hidden effects were found, how many others, and how well the camera's place is known."""
-    found = [{(k.name, target) for target in k.target.split()} for k in looks.settings]
+    found = [{(e.effect, target) for target in e.target.split()} for e in result.estimates]
     # Two words for where a camera stands.
     truth = {("camera_frame" if e.name == "camera_pose" else e.name, e.target) for e in effects}
     others = [one for one in found if not one <= truth]
-    row = {"found": " + ".join(f"{k.name}({k.target})" for k in looks.settings), "others": len(others)}
-    row |= {k: round(getattr(looks, k), 2) for k in ("before", "after", "floor")}
+    row = {"found": " + ".join(f"{e.effect}({e.target})" for e in result.estimates), "others": len(others)}
+    row |= {k: round(getattr(result, k), 2) for k in ("before", "after", "floor")}
     if case not in ("easy", "hard"):
         row["right"] = int(set().union(*found) == truth)
     if "camera" in case:
-        moved = next((v for k, v in looks.settings.items() if isinstance(k, CameraParameter)), np.zeros(6))
+        cameras = (e for e in result.estimates if e.key == camera_of(task).key)
+        moved = next((np.array(list(e.estimate.values())) for e in cameras), np.zeros(6))
         row["bump"], row["bump_error"] = (round(shift(task, v), 4) for v in (bump(task), moved - bump(task)))
     return row
 

@@ -28,7 +28,7 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import parser, show_bar
-from cli.diagnose_images import forecast, read_images, report_looks
+from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
@@ -104,13 +104,13 @@ def main(args: list[str]) -> int:
     else:
         run = Run.open(o.run)
         if o.looks:
-            report_looks(run, o.data, o.out, o.seed)
+            report_visual_effects(run, o.data, o.out, o.seed)
         images = read_images(run, o.data)
         source = run.worlds.source_domain
-        model, trajectories, how = source.spec(), images.readings.target, images.how(source)
+        model, trajectories, how = source.spec(), images.readings.target, images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()
-    if o.run is not None and images.readings.calibration.vague:
-        print_forecast_diagnosis(*forecast(run, images, o, declared), model.compile(), o.out)
+    if o.run is not None and images.readings.calibration.velocities_unreliable:
+        print_forecast_diagnosis(*diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:

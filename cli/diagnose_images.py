@@ -22,17 +22,18 @@ from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.wording import format_number
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.files import write_atomically
-from idapt_pl.image_diagnosis.calibration import Readings, read_calibrated
-from idapt_pl.image_diagnosis.discover import diagnose_by_forecasts
+from idapt_pl.image_diagnosis.calibration import CalibratedReadings, read_calibrated
+from idapt_pl.image_diagnosis.forecast_diagnosis import diagnose_by_forecasts
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
-from idapt_pl.report.forecast_page import forecast_verdict, write_forecast_diagnosis
+from idapt_pl.report.forecast_files import write_forecast_diagnosis
+from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.run import Run
 
 
 @dataclass(frozen=True)
-class Images:
+class ImageRecordings:
     """Recordings of images as a run's sensor reads them.
 
     Attributes:
@@ -45,10 +46,10 @@ class Images:
     sensor: ImageSensor
     G: VisualTransformation
     control: Path
-    readings: Readings
+    readings: CalibratedReadings
 
-    def how(self, source: Domain) -> dict[str, Any]:
-        """How the sensor reads, for :func:`~idapt_pl.diagnosis.diagnose`.
+    def diagnose_arguments(self, source: Domain) -> dict[str, Any]:
+        """What :func:`~idapt_pl.diagnosis.diagnose` must know of the sensor.
 
         Its errors on images of the source count as noise, although they depend on the state and are not white: see
         decision 17.
@@ -57,19 +58,21 @@ class Images:
         return {"noise": noise, "unmeasured": self.readings.unmeasured}
 
 
-def read_images(run: Run, data: Path) -> Images:
+def read_images(run: Run, data: Path) -> ImageRecordings:
     """Read recordings with the estimator of a run."""
     worlds, folder = run.worlds, run.folder
     sensor, G = ImageSensor(run.load_estimator(), worlds.task, worlds.frame_stack), run.load_visual()
     control = [*folder.glob("step_00/source.h5"), *sorted(folder.glob("step_*/control.h5"))][-1]
-    return Images(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))
+    return ImageRecordings(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))
 
 
-def forecast(run: Run, images: Images, o: argparse.Namespace, declared: Sequence[Effect]) -> tuple[dict, list[str]]:
+def diagnose_images_by_forecasts(
+    run: Run, images: ImageRecordings, o: argparse.Namespace, declared: Sequence[Effect]
+) -> tuple[dict, list[str]]:
     """Diagnose by forecasts, for a sensor that cannot tell how fast things move.
 
     Args:
-        run: of the run.
+        run: whose estimator reads the images.
         images: as read.
         o: arguments of ``idapt diagnose``.
         declared: effects known already.
@@ -91,22 +94,19 @@ def forecast(run: Run, images: Images, o: argparse.Namespace, declared: Sequence
     layout = "{desc}: {n} hypotheses played and rendered {elapsed}"
     with tqdm(desc="forecasts", bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
 
-        def seen(domain: Domain, num_envs: int) -> VectorImageEnv:
+        def make_env(domain: Domain, num_envs: int) -> VectorImageEnv:
             bar.update()
             return worlds.image_env(domain, num_envs)
 
-        sought = diagnose_by_forecasts(
-            source, images.sensor, images.G, [o.data], [images.control], options, o.seed, seen,
-            images.readings,
-        )  # fmt: skip
-    names = (o.run.name, o.data.name)
-    report = write_forecast_diagnosis(
-        sought, worlds.source_domain, declared, o.out, names, time.perf_counter() - started
-    )  # fmt: skip
+        result = diagnose_by_forecasts(
+            source, images.sensor, images.G, [o.data], [images.control], options, o.seed, make_env, images.readings
+        )
+    names, seconds = (o.run.name, o.data.name), time.perf_counter() - started
+    report = write_forecast_diagnosis(result, worlds.source_domain, declared, o.out, names, seconds)
     return report, forecast_verdict(report, source.compile())
 
 
-def report_looks(run: Run, data: Path, out: Path, seed: int) -> None:
+def report_visual_effects(run: Run, data: Path, out: Path, seed: int) -> None:
     """Say which visual effects the source of a run lacks; write ``looks.yaml`` and ``looks.png``.
 
     Every episode must begin as the task's do.
@@ -114,10 +114,11 @@ def report_looks(run: Run, data: Path, out: Path, seed: int) -> None:
     worlds, console = run.worlds, Console()
     found = discover_visual_effects(worlds.task, worlds.source_domain, data, seed, worlds.view)
     out.mkdir(parents=True, exist_ok=True)
-    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(found["effects"])))
-    write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found["picture"])))
-    names = ", ".join(f"{e['effect']} of {e['target']}" for e in found["estimates"]) or "none was found"
-    before, after, floor = (format_number(found[k]) for k in ("before", "after", "floor"))
+    effects = [e.to_dict() for e in found.effects]
+    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(effects)))
+    write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found.picture)))
+    names = ", ".join(f"{e.effect} of {e.target}" for e in found.estimates) or "none was found"
+    before, after, floor = map(format_number, (found.before, found.after, found.floor))
     for sentence in (
         f"visual effects that the source lacks: {names}.",
         f"The recording's first frames are {before} levels of 255 from the source's, {after} with these effects; noise "

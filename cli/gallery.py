@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cli.arguments import parser
 from idapt_pl.files import write_atomically
-from idapt_pl.report.gallery import LearnedLook, gallery_page
+from idapt_pl.report.gallery import LearnedTranslation, gallery_page
 from idapt_pl.run import Run
 from idapt_pl.tasks import TASKS, make_task
 
@@ -22,10 +22,10 @@ def main(args: list[str]) -> int:
     p.add_argument("--image-size", type=int, default=200, help="side of the pictures, pixels")
     p.add_argument("--run", type=Path, nargs="+", default=[], help="run folders whose G is shown too")
     o = p.parse_args(args)
-    learned = [what_it_learned(run) for run in o.run]
-    told = [(g.task, g.target) for g in learned]
-    if len(set(told)) < len(told):
-        raise ValueError(f"--run: two runs have the same task and target ({told}); give one of each")
+    learned = [load_translation(run) for run in o.run]
+    shown = [(g.task, g.target) for g in learned]
+    if len(set(shown)) < len(shown):
+        raise ValueError(f"--run: two runs have the same task and target ({shown}); give one of each")
     text = gallery_page(map(make_task, o.task), o.image_size, learned=learned)
     path = o.out / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(text))
@@ -33,8 +33,8 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def what_it_learned(folder: Path) -> LearnedLook:
+def load_translation(folder: Path) -> LearnedTranslation:
     """G of a run's last grounding step."""
     run = Run.open(folder)
     worlds, G = run.worlds, run.load_visual()
-    return LearnedLook(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)
+    return LearnedTranslation(worlds.task.name, worlds.target_domain.name, worlds.image_size, G.frames, G.translate)

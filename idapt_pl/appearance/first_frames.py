@@ -14,15 +14,15 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from idapt_pl.appearance.parameters import BlurParameter, VisualParameter, sky_pixels, sky_texture, with_sky
+from idapt_pl.appearance.parameters import BlurParameter, VisualParameter
+from idapt_pl.appearance.scene import sky_pixels, sky_texture, with_sky
 from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.effects.visual import CAMERA, blur_of, blurred, engine_of
 from idapt_pl.rendering.classic import FrameRenderer
 from idapt_pl.tasks import Task
 
 ParameterValues = Mapping[VisualParameter, np.ndarray]
-"""The knobs that are turned, and to what."""
-
+"""Visual parameters and their values, (d,) each; all others are as in the source."""
 
 FEW_STARTS = 4
 """Starts that will do where only the change of a picture counts."""
@@ -48,14 +48,14 @@ class MeanImage:
 
 
 class FirstFrames(AbstractContextManager):
-    """Renders what episodes of a domain begin with, with knobs turned as asked.
+    """Renders what episodes of a domain begin with, with visual parameters set as asked.
 
     Args:
         task: draws the starts.
         domain: its model.
         size: side of the pictures, pixels.
         draws: starts.
-        seed: of the draws; the same for all settings of the knobs.
+        seed: of the draws; the same for all values of the parameters.
         view: the part of the camera's image that is rendered.
 
     Raises:
@@ -66,7 +66,9 @@ class FirstFrames(AbstractContextManager):
         domain = with_sky(domain)
         self.nominal = domain.compile(view)
         if engine_of(self.nominal) != "classic":
-            raise ValueError(f"looks are found for domains that the classic renderer draws, not {domain.name!r}")
+            raise ValueError(
+                f"visual effects are found for domains that the classic renderer draws, not {domain.name!r}"
+            )
         self.model = copy.copy(self.nominal)
         self._render = FrameRenderer(self.model, size)
         self._uploaded = sky_pixels(self.model).copy()
@@ -82,13 +84,13 @@ class FirstFrames(AbstractContextManager):
         self._render.close()
 
     def __call__(self, settings: ParameterValues, draws: int | None = None) -> np.ndarray:
-        """One picture for each start, or for the first ``draws`` of them: uint8 (n, H, W, 3), not yet developed."""
-        self._turn(settings)
+        """One picture for each start, or for the first ``draws`` of them: uint8 (n, H, W, 3), as rendered."""
+        self._apply_to_model(settings)
         pictures = []
         for data, (position, axes) in list(zip(self._starts, self._cameras, strict=True))[:draws]:
             data.cam_xpos[self._camera], data.cam_xmat[self._camera] = position, axes
-            for knob, values in settings.items():
-                knob.move(data, values)
+            for parameter, values in settings.items():
+                parameter.apply_to_state(data, values)
             pictures.append(self._render(data))
         return np.stack(pictures)
 
@@ -98,21 +100,21 @@ class FirstFrames(AbstractContextManager):
         Blurring it is the same as the mean of blurred ones.
         """
         picture = self(settings, FEW_STARTS if few else None).mean(0) / 255
-        if not any(isinstance(knob, BlurParameter) for knob in settings):
+        if not any(isinstance(parameter, BlurParameter) for parameter in settings):
             picture = blurred(picture, blur_of(self.nominal))
-        for knob, values in settings.items():
-            picture = knob.develop(picture, values)
+        for parameter, values in settings.items():
+            picture = parameter.apply_to_picture(picture, values)
         return picture
 
-    def _turn(self, settings: ParameterValues) -> None:
+    def _apply_to_model(self, settings: ParameterValues) -> None:
         for name in ("light_diffuse", "light_ambient", "geom_matid", "geom_rgba"):
             getattr(self.model, name)[:] = getattr(self.nominal, name)
         for name in ("diffuse", "ambient"):
             setattr(self.model.vis.headlight, name, getattr(self.nominal.vis.headlight, name))
         sky = sky_pixels(self.model)
         sky[:] = sky_pixels(self.nominal)
-        for knob, values in settings.items():
-            knob.turn(self.model, values)
+        for parameter, values in settings.items():
+            parameter.apply_to_model(self.model, values)
         if not np.array_equal(sky, self._uploaded):
             self._render.upload(sky_texture(self.model))
             self._uploaded = sky.copy()

@@ -1,4 +1,4 @@
-"""Fits knobs to a mean picture: least squares on pixels, from coarse to fine."""
+"""Fits visual parameters to a mean picture: least squares on pixels, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -16,55 +16,56 @@ from idapt_pl.appearance.parameters import VisualParameter
 PIXEL = 1 / 255
 PIXEL_ERROR = 2 * PIXEL
 """What a pixel errs by even where everything is right: rounding, edges."""
-NEIGHBOURS = 9.0
-"""Pixels whose errors go together."""
+CORRELATED_PIXELS = 9.0
+"""Neighbouring pixels whose errors go together."""
 FIRST_MOVE = 10.0
 """Noticeable steps that the first move of a search may be long."""
-Render = Callable[[ParameterValues, bool], np.ndarray]
+RenderMean = Callable[[ParameterValues, bool], np.ndarray]
+"""Values of the parameters, and whether a few starts will do, to a mean picture (H, W, 3), 0 to 1."""
 
 
 @dataclass(frozen=True)
 class AppearanceFit:
-    """Knobs as fitted.
+    """Visual parameters as fitted.
 
     Attributes:
-        values: knob to its values.
-        spread: knob to the standard deviations of its values, given that all that is wrong is among these knobs.
+        values: parameter to its values.
+        std: parameter to their standard deviations, given that all that is wrong is among these parameters.
     """
 
     values: ParameterValues
-    spread: ParameterValues
+    std: ParameterValues
 
 
-def weights(measured: MeanImage, model_variance: np.ndarray) -> np.ndarray:
+def pixel_weights(measured: MeanImage, model_variance: np.ndarray) -> np.ndarray:
     """One over the standard deviation of a pixel's difference, (H, W, 3): what moves between starts counts less."""
     return 1 / np.sqrt(PIXEL_ERROR**2 + measured.variance + model_variance)
 
 
 def fit_parameters(
-    render: Render, measured: MeanImage, model_variance: np.ndarray, start: ParameterValues,
+    render: RenderMean, measured: MeanImage, model_variance: np.ndarray, start: ParameterValues,
     held: ParameterValues, coarse: bool = True, iterations: int = 4,
 ) -> AppearanceFit:  # fmt: skip
-    """Turn knobs until the rendered mean picture is most like the measured one.
+    """Change parameters until the rendered mean picture is most like the measured one.
 
     Args:
-        render: settings of the knobs, and whether a few starts will do, to a mean picture (H, W, 3), 0 to 1.
+        render: makes the mean picture.
         measured: what it should be.
         model_variance: of the rendered mean, from the spread of its starts.
-        start: the knobs to be turned, and from where.
-        held: knobs that stay where they are.
-        coarse: begin with blurred pictures, where one of the knobs asks for it.
+        start: the parameters to be fitted, and from where.
+        held: parameters that stay as they are.
+        coarse: begin with blurred pictures, where one of the parameters asks for it.
         iterations: steps at each level.
     """
-    knobs = list(start)
-    step, low, high = (np.concatenate([getattr(k, n) for k in knobs]) for n in ("step", "low", "high"))
-    central = np.concatenate([np.full(len(k.nominal), k.rank > 0) for k in knobs])
-    x = np.clip(np.concatenate([start[k] for k in knobs]), low, high)
-    w = weights(measured, model_variance)
+    fitted = list(start)
+    step, low, high = (np.concatenate([getattr(p, n) for p in fitted]) for n in ("step", "low", "high"))
+    central = np.concatenate([np.full(len(p.nominal), p.rank > 0) for p in fitted])
+    x = np.clip(np.concatenate([start[p] for p in fitted]), low, high)
+    w = pixel_weights(measured, model_variance)
 
     def split(values: np.ndarray) -> dict[VisualParameter, np.ndarray]:
-        ends = np.cumsum([len(k.nominal) for k in knobs])[:-1]
-        return dict(zip(knobs, np.split(values, ends), strict=True))
+        ends = np.cumsum([len(p.nominal) for p in fitted])[:-1]
+        return dict(zip(fitted, np.split(values, ends), strict=True))
 
     def solve(start: np.ndarray, level: float) -> OptimizeResult:
         width = level * len(w)
@@ -79,19 +80,35 @@ def fit_parameters(
         most = iterations if level else 3 * iterations
         return least_squares(residual, start, slopes, (low, high), ftol=1e-3, x_scale=FIRST_MOVE * step, max_nfev=most)
 
-    for level in max((k.levels for k in knobs), key=len) if coarse else (0.0,):
+    for level in max((p.levels for p in fitted), key=len) if coarse else (0.0,):
         solved = solve(x, level)
         x = solved.x
     # Errors of neighbouring pixels go together, so a picture has fewer independent ones than pixels.
     slopes_per_step = solved.jac * step
-    information = slopes_per_step.T @ slopes_per_step / NEIGHBOURS
+    information = slopes_per_step.T @ slopes_per_step / CORRELATED_PIXELS
     scale = max(1.0, float(np.mean(solved.fun**2)))
-    spread = np.sqrt(scale * np.diag(np.linalg.pinv(information + 1e-9 * np.eye(len(x))))) * step
-    return AppearanceFit(split(x), split(spread))
+    std = np.sqrt(scale * np.diag(np.linalg.pinv(information + 1e-9 * np.eye(len(x))))) * step
+    return AppearanceFit(split(x), split(std))
 
 
-def finite_differences(residual, x, step, low, high, central) -> np.ndarray:
-    """Slopes (m, d) over finite steps: central ones where asked for and the bounds leave room, else one-sided ones."""
+def finite_differences(
+    residual: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray,
+    step: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    central: np.ndarray,
+) -> np.ndarray:
+    """Slopes (m, d) of residuals (m,) over finite steps, central or one-sided.
+
+    Args:
+        residual: of parameters (d,).
+        x: where, (d,).
+        step: (d,).
+        low: bounds, (d,).
+        high: bounds, (d,).
+        central: whether to go to both sides, (d,), where the bounds leave room.
+    """
     columns, r = [], residual(x)
     for i in range(len(x)):
         up, down = x.copy(), x.copy()

@@ -103,6 +103,11 @@ class EffectEstimate:
     error_without: float | None = None
     equivalent: Sequence[Alternative] = ()
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and target."""
+        return self.effect, self.target
+
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
         entry: dict[str, Any] = {"effect": self.effect, "target": self.target}

@@ -23,10 +23,10 @@ GAIN_STD = 0.05
 
 On the control it is measured, and comes out as one. What G does to the geometry no control shows: 25 recordings of the
 pendulum's target by five sensors were 0.05 off at the hinge and 0.02 at the slider, root mean square
-(``results/sensor_errors.csv``). The larger is taken for every joint."""
+(``benchmarks/sensor_errors.py``, ``results/sensor_errors.csv``). The larger is taken for every joint."""
 
-ONE_NUMBER = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
-"""Kinds of joints that one number places."""
+SCALAR_JOINTS = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
+"""Joint types whose position is one number."""
 
 VELOCITY_ERROR_LIMIT = 1 / 3
 """Share of the spread of speeds above which errors of speeds say that most of what is read is what is likely in the
@@ -58,8 +58,8 @@ class Calibration:
     lag: np.ndarray
 
     @property
-    def vague(self) -> bool:
-        """Whether a sensor cannot tell how fast most joints move, neither as read nor from slopes of positions."""
+    def velocities_unreliable(self) -> bool:
+        """Whether the speeds of most joints cannot be told, neither as read nor from slopes of positions."""
         best = np.minimum(self.velocity, self.slope)
         return bool(np.median(best / np.maximum(self.speed, 1e-12)) >= VELOCITY_ERROR_LIMIT)
 
@@ -67,12 +67,12 @@ class Calibration:
     def reads_velocities(self) -> bool:
         """Whether velocities as read are near the truth, and nearer than slopes of positions, for most joints."""
         better = np.median(self.velocity / np.maximum(self.slope, 1e-12)) < 1.0
-        return bool(better) and not self.vague
+        return bool(better) and not self.velocities_unreliable
 
     def noise(self, model: mujoco.MjModel, unseen: Sequence[str]) -> Noise:
         """The errors as noise of what is compared, and of the states that windows begin with; gains are unknown."""
-        told = np.flatnonzero(np.isin(model.jnt_type, ONE_NUMBER))
-        names = (model.joint(j).name for j in told)
+        scalar = np.flatnonzero(np.isin(model.jnt_type, SCALAR_JOINTS))
+        names = (model.joint(j).name for j in scalar)
         gains = tuple(SensorGain(name, 1 + GAIN_STD) for name in names if name not in unseen)
         if self.reads_velocities:
             both = np.concatenate([self.position, self.velocity])
@@ -80,14 +80,19 @@ class Calibration:
         return Noise(self.position, np.concatenate([self.position, self.slope]), gains)
 
     def to_dict(self, model: mujoco.MjModel, unseen: Sequence[str]) -> dict[str, list[float | None]]:
-        """For JSON: its arrays, with None where a position is meant of a joint whose position no state tells."""
+        """For JSON: its arrays, five digits each, with None for positions of joints in ``unseen``.
+
+        Args:
+            model: of the source.
+            unseen: names of joints whose positions no state tells.
+        """
         hidden = {int(model.joint(name).dofadr[0]) for name in unseen}
 
-        def told(name: str, errors: np.ndarray) -> list[float | None]:
+        def with_gaps(name: str, errors: np.ndarray) -> list[float | None]:
             blank = hidden if name in ("position", "bias", "lag") else ()
             return [None if i in blank else round(float(e), 5) for i, e in enumerate(errors)]
 
-        return {name: told(name, errors) for name, errors in vars(self).items()}
+        return {name: with_gaps(name, errors) for name, errors in vars(self).items()}
 
 
 def reliable_channels(read: Trajectories, calibration: Calibration) -> Trajectories:
@@ -110,35 +115,36 @@ def reading_errors(task: Task, model: mujoco.MjModel, read: Trajectories) -> lis
     """Errors of positions, velocities and slopes of positions, and the velocities that were there, (n, nv) each."""
     parts = []
     for episode in read:
-        seen = episode.observations
-        qpos, qvel = task.motion(np.asarray(seen["state"], float), read.dt)
-        sloped = slopes(model, read.dt * np.arange(len(qpos)), seen["qpos"])
-        parts.append((position_difference(model, qpos, seen["qpos"]), seen["qvel"] - qvel, sloped - qvel, qvel))
+        readings = episode.observations
+        qpos, qvel = task.motion(np.asarray(readings["state"], float), read.dt)
+        sloped = slopes(model, read.dt * np.arange(len(qpos)), readings["qpos"])
+        errors = position_difference(model, qpos, readings["qpos"]), readings["qvel"] - qvel, sloped - qvel
+        parts.append((*errors, qvel))
     return [np.concatenate(p) for p in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True)
-class Readings:
+class CalibratedReadings:
     """What a calibrated sensor read.
 
     Attributes:
         target: positions, and velocities where they are read well (:attr:`Calibration.reads_velocities`).
         control: likewise, of the source.
         calibration: on the control.
-        unread: shares of the frames that were left out, ``target`` and ``control``.
+        excluded_frames: shares of the frames that were left out, of ``target`` and ``control``.
         unmeasured: channels that nothing is judged by (``unmeasured`` of :func:`~idapt_pl.diagnosis.diagnose`).
     """
 
     target: Trajectories
     control: Trajectories
     calibration: Calibration
-    unread: dict[str, float]
+    excluded_frames: dict[str, float]
     unmeasured: tuple[str, ...]
 
 
 def read_calibrated(
     sensor: ImageSensor, source: Domain, target: Sequence[Path], control: Sequence[Path], G: VisualTransformation
-) -> Readings:
+) -> CalibratedReadings:
     """Read recordings of the target, and learn from the source's how far that is off.
 
     Args:
@@ -151,9 +157,15 @@ def read_calibrated(
     task, model = sensor.task, source.compile()
     given = {"target": sensor.read(target), "control": sensor.read(control, G)}
     kept = {k: familiar_frames(task, model, read, given["control"]) for k, read in given.items()}
-    unread = {k: 1 - sum(len(e) + 1 for e in kept[k]) / sum(len(e) + 1 for e in given[k]) for k in given}
+    excluded = {k: 1 - frame_count(kept[k]) / frame_count(given[k]) for k in given}
     calibration = calibrate(task, model, kept["control"])
-    return Readings(*(reliable_channels(kept[k], calibration) for k in given), calibration, unread, tuple(task.unseen))
+    reliable = (reliable_channels(kept[k], calibration) for k in given)
+    return CalibratedReadings(*reliable, calibration, excluded, tuple(task.unseen))
+
+
+def frame_count(read: Trajectories) -> int:
+    """Observations of all episodes together."""
+    return sum(len(e) + 1 for e in read)
 
 
 def familiar_frames(task: Task, model: mujoco.MjModel, read: Trajectories, known: Trajectories) -> Trajectories:
@@ -170,9 +182,9 @@ def familiar_frames(task: Task, model: mujoco.MjModel, read: Trajectories, known
     motions = (task.motion(np.asarray(e.observations["state"], float), known.dt)[0] for e in known)
     qpos = np.concatenate(list(motions))
     mean, counts = qpos.mean(0), [model.joint(j).name not in task.unseen for j in model.dof_jntid]
-    far = FAMILIAR_RANGE * position_difference(model, mean, qpos).std(0)
-    off = (np.abs(position_difference(model, mean, e.observations["qpos"])) for e in read)
-    familiar = [(x <= far)[:, counts].all(1) for x in off]
+    limit = FAMILIAR_RANGE * position_difference(model, mean, qpos).std(0)
+    distances = (np.abs(position_difference(model, mean, e.observations["qpos"])) for e in read)
+    familiar = [(x <= limit)[:, counts].all(1) for x in distances]
     if np.concatenate(familiar).mean() < 0.5:
         return read
     kept = [sub_episode(e, *run) for e, ok in zip(read, familiar, strict=True) for run in true_runs(ok)]
@@ -180,12 +192,12 @@ def familiar_frames(task: Task, model: mujoco.MjModel, read: Trajectories, known
 
 
 def true_runs(ok: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end of the runs of two or more that hold."""
+    """Begin and end of every run of two or more True in ``ok`` (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ok.astype(int), [0]])))
     return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a > 1]
 
 
 def sub_episode(episode: Episode, begin: int, end: int) -> Episode:
     """The frames from ``begin`` to before ``end``."""
-    seen = {name: values[begin:end] for name, values in episode.observations.items()}
-    return Episode(episode.actions[begin : end - 1], seen)
+    frames = {name: values[begin:end] for name, values in episode.observations.items()}
+    return Episode(episode.actions[begin : end - 1], frames)

@@ -1,70 +1,41 @@
-"""Forecasts and what was read, channel by channel, in the words of report.json."""
+"""What is compared of a motion that an image sensor reads: positions and velocities of the joints that it can tell."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from idapt_pl.image_diagnosis.calibration import Calibration
-from idapt_pl.image_diagnosis.forecasts import ComparedChannels, ObservedStart
+from idapt_pl.diagnosis.data import position_difference
+from idapt_pl.tasks import Task
 
 
-def rounded(x: float) -> float:
-    """Six digits are enough."""
-    return float(f"{x:.6g}")
-
-
-def channel_names(compared: ComparedChannels) -> list[tuple[str, str]]:
-    """Names and units of what is compared: positions first, then velocities."""
-    joints = [compared.model.joint(compared.model.dof_jntid[i]) for i in compared.dofs]
-    turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
-    names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
-    units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
-    return list(zip(names, units, strict=True))
-
-
-def channel_errors(
-    compared: ComparedChannels, calibration: Calibration, before: np.ndarray, after: np.ndarray
-) -> dict[str, dict]:
-    """Errors (d,) of the means of forecasts, without and with effects, beside the sensor's."""
-    noise = np.concatenate([calibration.position[compared.dofs], calibration.velocity[compared.dofs]])
-    return {
-        name: {"before": rounded(b), "after": rounded(a), "noise": rounded(n), "unit": unit}
-        for (name, unit), b, a, n in zip(channel_names(compared), before, after, noise, strict=True)
-    }
-
-
-def example_episode(
-    compared: ComparedChannels, sightings: Sequence[ObservedStart], before: Sequence[np.ndarray], after: Sequence[np.ndarray],
-    gains: np.ndarray, dt: float,
-) -> dict:  # fmt: skip
-    """The episode that gains as much as most do: its positions as read, and ensembles without and with effects.
+class ComparedChannels:
+    """Positions and velocities of the joints that a state tells of, as channels: positions first, then velocities.
 
     Args:
-        compared: what is.
-        sightings: of the target.
-        before: ensembles of each, (members, T+1, d), without effects.
-        after: with them; the same where there are none.
-        gains: of each, (n,), of any scale.
-        dt: control period, s.
+        task: whose states they are.
+        model: likewise.
+
+    Attributes:
+        dofs: degrees of freedom that are compared, (dofs,).
     """
-    k = int(np.argsort(gains, kind="stable")[len(gains) // 2])
 
-    def band(members: np.ndarray) -> dict[str, list[float]]:
-        rows = {"mean": members.mean(0), "low": members.min(0), "high": members.max(0)}
-        return {name: [rounded(x) for x in values] for name, values in rows.items()}
+    def __init__(self, task: Task, model: mujoco.MjModel) -> None:
+        self.task, self.model = task, model
+        self.dofs = np.array([i for i, j in enumerate(model.dof_jntid) if model.joint(j).name not in task.unseen])
 
-    return {
-        "dt": dt,
-        "channels": {
-            name: {
-                "unit": unit,
-                "read": [rounded(x) for x in sightings[k].read[:, i]],
-                "before": band(before[k][..., i]),
-                "after": band(after[k][..., i]),
-            }
-            for i, (name, unit) in enumerate(channel_names(compared)[: len(compared.dofs)])
-        },
-    }
+    def names_and_units(self) -> list[tuple[str, str]]:
+        """Of every channel."""
+        joints = [self.model.joint(self.model.dof_jntid[i]) for i in self.dofs]
+        turns = [int(j.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE) for j in joints]
+        names = [j.name for j in joints] + [f"{j.name} velocity" for j in joints]
+        units = ["rad" if t else "m" for t in turns] + ["rad/s" if t else "m/s" for t in turns]
+        return list(zip(names, units, strict=True))
+
+    def positions(self, qpos: np.ndarray) -> np.ndarray:
+        """From the model's own, (n, dofs)."""
+        return position_difference(self.model, self.model.qpos0, qpos)[:, self.dofs]
+
+    def motion(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """All channels, (n, 2 dofs), of ``qpos`` (n, nq) and ``qvel`` (n, nv)."""
+        return np.concatenate([self.positions(qpos), qvel[:, self.dofs]], 1)

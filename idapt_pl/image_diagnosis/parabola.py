@@ -8,12 +8,13 @@ from scipy.stats import t as student
 
 FITTED_RANGE = 0.7
 """Of the logarithm of a parameter: values further from the best one tried say nothing of where the lowest point is."""
+
 SYSTEMATIC_LOG_STD = 0.1
 """Standard deviation of the logarithm of an estimate by what G and the sensor get wrong on target images alone.
 
 No control shows it: the root mean square error of four recordings by three sensors, which scatter does not explain
-(``results/discovery.csv``, seed 0 of HalfCheetah and of Walker2d's easy looks). It is not a gain of the sensor: one
-of 10 % at each joint changes an estimate by 1 to 2 %."""
+(``benchmarks/discovery.py``; ``results/discovery.csv``, seed 0 of HalfCheetah and of Walker2d's easy looks). It is not
+a gain of the sensor: one of 10 % at each joint changes an estimate by 1 to 2 %."""
 
 
 def parabola_minimum(x: np.ndarray, scores: np.ndarray) -> tuple[float, bool]:
@@ -41,7 +42,7 @@ def minimum_uncertainty(x: np.ndarray, scores: np.ndarray) -> float:
 
     Args:
         x: logarithms of a parameter's values, (k,).
-        scores: of each sighting there, (k, n).
+        scores: of each episode there, (k, n).
     """
     n = scores.shape[1]
     without = np.array([parabola_minimum(x, np.delete(scores, i, 1).mean(1))[0] for i in range(n)])

@@ -49,15 +49,15 @@ class ImageSensor:
         return Trajectories(tuple(read), data.dt, "read from images")
 
     def motion(self, episode: Episode, dt: float, G: VisualTransformation | None) -> tuple[np.ndarray, np.ndarray]:
-        """``qpos`` and ``qvel`` of one episode."""
-        seen = FrameStacks([episode if G is None else G.translate_episode(episode)], self.frame_stack)
-        return self.task.motion(estimate_states(seen, self.predictor), dt)
+        """``qpos`` (T+1, nq) and ``qvel`` (T+1, nv) of one episode; ``G`` shows the sensor source images."""
+        images = FrameStacks([episode if G is None else G.translate_episode(episode)], self.frame_stack)
+        return self.task.motion(estimate_states(images, self.predictor), dt)
 
 
 @torch.no_grad()
 def estimate_states(images: FrameStacks, predictor: PixelStatePredictor, chunk: int = 256) -> np.ndarray:
-    """What a sensor takes for the states that images show, (n, s), in their units."""
+    """The states that a predictor reads off images, (n, s), in their units; ``chunk`` stacks at a time."""
     device = next(predictor.parameters()).device
     parts = np.array_split(np.arange(len(images)), len(images) // chunk + 1)
-    seen = (torch.from_numpy(images.stacks(p)).to(device) for p in parts)
-    return np.concatenate([predictor.predict(s).cpu().numpy() for s in seen]).astype(float)
+    stacks = (torch.from_numpy(images.stacks(p)).to(device) for p in parts)
+    return np.concatenate([predictor.predict(s).cpu().numpy() for s in stacks]).astype(float)

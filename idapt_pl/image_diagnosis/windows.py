@@ -11,16 +11,19 @@ itself, of what is left when it is left out.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from datamodules import Trajectories
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.effects import Domain
-from idapt_pl.image_diagnosis.calibration import GAIN_STD, Readings, sub_episode
+from idapt_pl.effects import Domain, Effect
+from idapt_pl.image_diagnosis.calibration import GAIN_STD, CalibratedReadings, sub_episode
+from idapt_pl.image_diagnosis.result import ImageDiagnosis, WindowEvidence
 from idapt_pl.image_diagnosis.settings import SHORTEST_EPISODE, DiscoverySettings
 from idapt_pl.tasks import Task
 
@@ -35,9 +38,39 @@ CREDIBLE_REMOVED = 0.3
 """Or the share of the whole error that must go with what is found, if it is also twice what goes in the control.
 
 Motions in the target can be calmer than those of the control, and easier to read: then no channel's error is larger
-than the control's, whatever is missing. Where nothing was missing up to 0.09 of it went on the pendulum, none on
-HalfCheetah, and 0.33 on Walker2d, by velocities that its sensor could not read (``results/discovery.csv``, before and
-after); 0.13 now."""
+than the control's, whatever is missing. Where nothing is missing up to 0.09 of it goes on the pendulum, 0.13 on
+Walker2d and none on HalfCheetah (``benchmarks/discovery.py --cases nothing``; ``before`` and ``after`` in
+``results/discovery.csv``)."""
+
+
+@dataclass(frozen=True)
+class WindowDiagnosis:
+    """What a diagnosis by windows found in recordings of one kind.
+
+    Attributes:
+        effects: to be added to the source.
+        estimates: their parameters.
+        before: error of all channels without them, in units of the sensor's noise.
+        after: with them.
+        channels: channel to its errors.
+    """
+
+    effects: tuple[Effect, ...]
+    estimates: tuple[EffectEstimate, ...]
+    before: float
+    after: float
+    channels: Mapping[str, ChannelError]
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> WindowDiagnosis:
+        """What is looked at of a diagnosis."""
+        found, error = diagnosis.result.effects, diagnosis.result.error
+        return cls(tuple(diagnosis.effects), tuple(found), error.before, error.after, error.channels)
+
+    @property
+    def removed_share(self) -> float:
+        """The share of the error that goes with all that was found."""
+        return 1.0 - self.after / self.before if self.before else 0.0
 
 
 def equal_pieces(data: Trajectories, length: int) -> Trajectories:
@@ -46,90 +79,85 @@ def equal_pieces(data: Trajectories, length: int) -> Trajectories:
     return Trajectories(tuple(parts), data.dt, data.source)
 
 
-def beyond_the_control(target: dict[str, dict], control: dict[str, dict]) -> tuple[float, float]:
+def beyond_the_control(target: Mapping[str, ChannelError], control: Mapping[str, ChannelError]) -> tuple[float, float]:
     """In the channel where the target's error exceeds the control's most: by what factor, and what share was removed.
 
     Args:
-        target: channel to its errors ``before`` and ``after``, in its unit.
+        target: channel to its errors.
         control: the same, where nothing is missing.
     """
-    ratios = {name: c["before"] / control[name]["before"] for name, c in target.items()}
+    ratios = {name: c.before / control[name].before for name, c in target.items()}
     worst = max(ratios, key=ratios.get)
-    beyond = target[worst]["before"] - control[worst]["before"]
-    removed = target[worst]["before"] - target[worst]["after"]
+    beyond = target[worst].before - control[worst].before
+    removed = target[worst].before - target[worst].after
     return ratios[worst], removed / beyond if beyond > 0 else 0.0
 
 
-def removed_error_share(error: dict) -> float:
-    """The share of the error, as in report.json, that goes with all that was found."""
-    return 1.0 - error["after"] / error["before"] if error["before"] else 0.0
-
-
-def believable(excess: float, explained: float, gone: float, made_up_share: float) -> bool:
+def is_believable(excess: float, explained: float, removed: float, removed_in_control: float) -> bool:
     """Whether errors say that something is missing in the target, not only in what the sensor reads.
 
     Args:
         excess: as of :func:`beyond_the_control`.
         explained: the same.
-        gone: :func:`removed_error_share` in the target.
-        made_up_share: and in the control.
+        removed: share of the target's error that goes with what was found.
+        removed_in_control: and of the control's.
     """
     beyond = any(excess > more and explained > share for more, share in CREDIBLE_EXCESS)
-    return beyond or gone > max(CREDIBLE_REMOVED, 2 * made_up_share)
+    return beyond or removed > max(CREDIBLE_REMOVED, 2 * removed_in_control)
 
 
-def worth_adding(fewer: dict, seen: dict, control: dict) -> bool:
+def is_worth_adding(fewer: WindowDiagnosis, more: WindowDiagnosis, control: WindowDiagnosis) -> bool:
     """Whether one effect more is worth it: errors with it against those with the ones before it.
 
     Args:
-        fewer: ``error`` of report.json without it.
-        seen: with it.
-        control: that of the control.
+        fewer: without it.
+        more: with it.
+        control: of the control.
     """
-    left = {name: {"before": e["after"], "after": seen["per_channel"][name]["after"]}
-            for name, e in fewer["per_channel"].items()}  # fmt: skip
-    gone = 1.0 - (1.0 - removed_error_share(seen)) / max(1.0 - removed_error_share(fewer), 1e-12)
-    return believable(*beyond_the_control(left, control["per_channel"]), gone, removed_error_share(control))
+    left = {name: replace(c, before=c.after, after=more.channels[name].after) for name, c in fewer.channels.items()}
+    removed = 1.0 - (1.0 - more.removed_share) / max(1.0 - fewer.removed_share, 1e-12)
+    return is_believable(*beyond_the_control(left, control.channels), removed, control.removed_share)
 
 
 def drop_unconvincing(
-    diagnosed: Callable[[int], Diagnosis], most: int, control: Diagnosis
-) -> tuple[Diagnosis, list[dict]]:
+    diagnose_target: Callable[[int], WindowDiagnosis], most: int, control: WindowDiagnosis
+) -> tuple[WindowDiagnosis, tuple[EffectEstimate, ...]]:
     """The diagnosis with at most so many effects, less the last ones found that do not say enough for themselves.
 
     A sensor errs on the target, and the effect that is there seldom accounts for all of what it reads: the next one
     found then makes up for the sensor.
 
     Args:
-        diagnosed: the target's diagnosis with at most so many effects.
+        diagnose_target: the target's diagnosis with at most so many effects.
         most: that are looked for.
         control: the control's.
 
     Returns:
-        It, and the effects left out, as in report.json.
+        It, and the effects left out.
     """
-    seen, left_out = diagnosed(most), []
-    while (found := len(seen.report["effects"])) > 1:
-        fewer = diagnosed(found - 1)
-        if worth_adding(fewer.report["error"], seen.report["error"], control.report["error"]):
+    kept, negligible = diagnose_target(most), ()
+    while (count := len(kept.estimates)) > 1:
+        fewer = diagnose_target(count - 1)
+        if is_worth_adding(fewer, kept, control):
             break
-        kept = [(e["effect"], e["target"]) for e in fewer.report["effects"]]
-        left_out += [e for e in seen.report["effects"] if (e["effect"], e["target"]) not in kept]
-        seen = fewer
-    return seen, left_out
+        keys = [e.key for e in fewer.estimates]
+        negligible += tuple(e for e in kept.estimates if e.key not in keys)
+        kept = fewer
+    return kept, negligible
 
 
-def sensor_makes_up(found: dict, made_up: Sequence[dict]) -> bool:
-    """Whether a sensor makes up an effect, and half as much of it at least as was found; both as in report.json."""
+def is_sensor_error(estimate: EffectEstimate, found_in_control: Sequence[EffectEstimate]) -> bool:
+    """Whether an effect is found in the control too, and half as much of it at least."""
 
-    def change(effect: dict) -> float:
-        return max(abs(p["estimate"] - p["nominal"]) for p in effect["parameters"].values())
+    def change(e: EffectEstimate) -> float:
+        return max(abs(p.estimate - p.nominal) for p in e.parameters.values())
 
-    same = [e for e in made_up if (e["effect"], e["target"]) == (found["effect"], found["target"])]
-    return any(change(e) > 0.5 * change(found) for e in same)
+    return any(change(e) > 0.5 * change(estimate) for e in found_in_control if e.key == estimate.key)
 
 
-def diagnose_by_windows(task: Task, source: Domain, readings: Readings, options: DiscoverySettings, seed: int) -> dict:
+def diagnose_by_windows(
+    task: Task, source: Domain, readings: CalibratedReadings, options: DiscoverySettings, seed: int
+) -> ImageDiagnosis:
     """Diagnose the source by what was read of the target, and the sensor by what it read of the source.
 
     Args:
@@ -138,50 +166,41 @@ def diagnose_by_windows(task: Task, source: Domain, readings: Readings, options:
         readings: of a sensor that tells how fast things move.
         options: what to look for.
         seed: of the choice of windows.
-
-    Returns:
-        As of :func:`idapt_pl.image_diagnosis.discover`.
     """
-    model = source.compile()
-    read, calibration = (readings.target, readings.control), readings.calibration
+    model, calibration = source.compile(), readings.calibration
     # Pieces of one length, so that both are judged over the same horizon.
-    length = max(SHORTEST_EPISODE, int(min(np.quantile([len(e) for e in d], 0.75) for d in read)))
+    lengths = (np.quantile([len(e) for e in read], 0.75) for read in (readings.target, readings.control))
+    length = max(SHORTEST_EPISODE, int(min(lengths)))
 
     # The source keeps its numerics, so what is found must hold with them.
-    def diagnosed(data: Trajectories, most: int) -> Diagnosis:
-        return diagnose(
+    def diagnose_pieces(data: Trajectories, most: int) -> WindowDiagnosis:
+        return WindowDiagnosis.of(diagnose(
             source.spec(), equal_pieces(data, length), candidates=options.candidates, seed=seed,
             settings=SearchSettings(max_effects=most, numerics=False), unmeasured=readings.unmeasured,
             noise=calibration.noise(model, task.unseen),
-        )  # fmt: skip
+        ))  # fmt: skip
 
-    checked = diagnosed(readings.control, options.max_effects)
-    seen, left_out = drop_unconvincing(partial(diagnosed, readings.target), options.max_effects, checked)
-    estimates, made_up = seen.report["effects"], checked.report["effects"]
-    errors = [d.report["error"]["per_channel"] for d in (seen, checked)]
-    excess, explained = beyond_the_control(*errors)
-    gone, made_up_share = (removed_error_share(d.report["error"]) for d in (seen, checked))
-    trusted = believable(excess, explained, gone, made_up_share)
-    real = {(e["effect"], e["target"]) for e in estimates if trusted and not sensor_makes_up(e, made_up)}
-    believed = [e for e in seen.effects if (e.name, e.target) in real]
-    for e in estimates:
-        log.info("effect found from images: %s", e)
-    for e in left_out:
-        log.info("left out, since it says too little beyond those before it: %s", e)
-    return {
-        "effects": [e.to_dict() for e in believed],
-        "disbelieved": [e.to_dict() for e in seen.effects if e not in believed],
-        "left_out": left_out,
-        "estimates": estimates,
-        "made_up": made_up,
-        "excess": excess,
-        "explained": explained,
-        "removed": {"target": gone, "control": made_up_share},
-        "unread": {name: round(share, 5) for name, share in readings.unread.items()},
-        "sensor": calibration.to_dict(model, task.unseen),
-        "unknown_gain": GAIN_STD,
-        "before": seen.report["error"]["before"],
-        "after": seen.report["error"]["after"],
-        "target": errors[0],
-        "control": errors[1],
-    }
+    control = diagnose_pieces(readings.control, options.max_effects)
+    target, negligible = drop_unconvincing(partial(diagnose_pieces, readings.target), options.max_effects, control)
+    excess, explained = beyond_the_control(target.channels, control.channels)
+    trusted = is_believable(excess, explained, target.removed_share, control.removed_share)
+    real = {e.key for e in target.estimates if trusted and not is_sensor_error(e, control.estimates)}
+    for e in target.estimates:
+        log.info("effect found from images: %s", e.to_dict())
+    for e in negligible:
+        log.info("left out, since it says too little beyond those before it: %s", e.to_dict())
+    return ImageDiagnosis(
+        effects=tuple(e for e in target.effects if (e.name, e.target) in real),
+        rejected=tuple(e for e in target.effects if (e.name, e.target) not in real),
+        estimates=target.estimates,
+        excess=excess,
+        explained=explained,
+        removed={"target": target.removed_share, "control": control.removed_share},
+        excluded_frames={name: round(share, 5) for name, share in readings.excluded_frames.items()},
+        sensor_errors=calibration.to_dict(model, task.unseen),
+        before=target.before,
+        after=target.after,
+        target=dict(target.channels),
+        control=dict(control.channels),
+        evidence=WindowEvidence(control.estimates, negligible, GAIN_STD),
+    )

@@ -193,14 +193,9 @@ class VisualTransformation(ManualModule):
         return to_pixels(fake.unflatten(1, (k, 3))).cpu().numpy().reshape(n, k, h, w, 3)
 
     def translate_episode(self, episode: Episode) -> Episode:
-        """An episode of the source as G shows it (the newest frame, where G sees stacks), with its states."""
-        pixels = episode.observations["pixels"]
-        if self.frames > 1:
-            stacks = FrameStacks([episode], self.frames).stacks(np.arange(len(pixels)))
-            pixels = self.translate(stacks)[:, -1]
-        else:
-            pixels = self.translate(pixels[:, None])[:, 0]
-        return replace(episode, observations={**episode.observations, "pixels": pixels})
+        """A source episode with images as G shows them; actions and other observations stay as they are."""
+        stacks = FrameStacks([episode], self.frames).stacks(np.arange(len(episode) + 1))
+        return replace(episode, observations={**episode.observations, "pixels": self.translate(stacks)[:, -1]})
 
     def translate_stacks(self, pixels: Tensor, back: bool = False) -> Tensor:
         """Whole stacks, uint8 (B, K, H, W, 3) to the same; ``back`` takes target images to the source's look."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable
 
 import matplotlib
@@ -14,22 +12,10 @@ from matplotlib.figure import Figure
 from idapt_pl.diagnosis.data import Windows, sample_windows
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.report.diagnosis_wording import worst_channels
+from idapt_pl.report.plots import AFTER, BEFORE, MEASURED, NOISE, STYLE, escape_mathtext
 
-MEASURED, BEFORE, AFTER, NOISE = "#222222", "#d1495b", "#1f77b4", "#b5b5b5"
 SHOWN_WINDOWS = 8
 """Windows shown one after the other."""
-
-STYLE = {
-    "font.family": "sans-serif",
-    "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e8e8e8",
-    "axes.axisbelow": True,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "idapt",
-}
 
 Draw = Callable[[Diagnosis], Figure]
 
@@ -131,22 +117,6 @@ def residual_figure(diagnosis: Diagnosis) -> Figure:
     axis.set_xlabel("root mean square of measured minus predicted, in the channel's unit")
     figure.legend(loc="outside upper right", ncols=3, frameon=False)
     return figure
-
-
-def escape_mathtext(name: str) -> str:
-    """A name that matplotlib does not take for a formula."""
-    return name.replace("$", r"\$")
-
-
-def svg(figure: Figure) -> str:
-    """A figure as an inline SVG element that scales with the page."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Type": None, "Format": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    head, rest = text.split(">", 1)
-    return re.sub(r' (width|height)="[^"]*"', "", head) + ">" + rest
 
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Figure]:

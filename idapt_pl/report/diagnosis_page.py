@@ -13,9 +13,9 @@ from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
-from idapt_pl.report.diagnosis_figures import STYLE, svg
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
-from idapt_pl.report.html import CSS, paragraph, row, section, table
+from idapt_pl.report.html import document, paragraph, row, section, table
+from idapt_pl.report.plots import STYLE, svg
 
 SHOWN_ROWS = 25
 """Ranked candidates that are not folded away."""
@@ -44,14 +44,7 @@ def diagnosis_page(
         candidates_section(diagnosis),
         settings_section(diagnosis, model_name, data_name),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(headline(result))}: {escape(model_name)}</title>\n"
-        f"<style>{CSS}:root {{ --tone: {TONES[result.verdict]}; }}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(s for s in sections if s)
-        + "\n</main>\n</body>\n</html>\n"
-    )
+    return document(f"{headline(result)}: {model_name}", sections, TONES[result.verdict])
 
 
 def verdict_header(result: DiagnosisResult, model: mujoco.MjModel, model_name: str, data_name: str) -> str:

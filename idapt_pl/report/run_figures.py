@@ -7,21 +7,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
-from idapt_pl.report.diagnosis_figures import AFTER, BEFORE, MEASURED, STYLE, escape_mathtext, svg
+from idapt_pl.image_diagnosis.result import ForecastChannel, ForecastExample
+from idapt_pl.report.plots import AFTER, BEFORE, MEASURED, REFERENCE, STYLE, escape_mathtext
 from idapt_pl.report.run_record import RunRecord
 
-ORACLE = "#2f7d3b"
 SHOWN_CHANNELS = 4
 """Channels of a forecast, those that moved most for how far off it was."""
 
 
-def returns_figure(record: RunRecord, metric: str) -> str:
-    """Target return of every step's policy against target interactions, as SVG; references are lines."""
+def returns_figure(record: RunRecord, metric: str) -> Figure:
+    """Target return of every step's policy against target interactions; references are lines."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.4), layout="constrained")
         axis = figure.subplots()
         for name, result, colour in (
-            ("oracle, trained in the target with its reward", record.oracle, ORACLE),
+            ("oracle, trained in the target with its reward", record.oracle, REFERENCE),
             ("direct transfer of the source policy", record.direct_transfer, BEFORE),
         ):
             if result:
@@ -41,28 +41,25 @@ def returns_figure(record: RunRecord, metric: str) -> str:
         axis.set_xlabel("target interactions used for training (control steps)")
         axis.set_ylabel(f"{metric} in the target")
         figure.legend(loc="outside upper left", ncols=2, frameon=False, fontsize=9)
-        return svg(figure)
+    return figure
 
 
-def forecast_figure(example: dict) -> Figure:
-    """One episode as read of the target, and ensembles that forecast it without and with effects; a panel a channel.
-
-    Args:
-        example: as in ``effects.json``.
-    """
-    channels, changed = example["channels"], any(c["before"] != c["after"] for c in example["channels"].values())
+def forecast_figure(example: ForecastExample) -> Figure:
+    """One episode as read of the target, and ensembles that forecast it without and with effects; a panel a channel."""
+    channels, changed = example.channels, any(c.before != c.after for c in example.channels.values())
     bands = {"before": "the source", "after": "with the effects"} if changed else {"before": "the source"}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.6, 4.6), layout="constrained")
         axes = figure.subplots(2, 2, sharex=True).ravel()
-        for axis, name in zip(axes, telling_channels(channels), strict=False):
+        for axis, name in zip(axes, worst_forecast_channels(channels), strict=False):
             c = channels[name]
-            time = example["dt"] * np.arange(len(c["read"]))
+            time = example.dt * np.arange(len(c.read))
             for (key, label), colour in zip(bands.items(), (BEFORE, AFTER), strict=False):
-                axis.fill_between(time, c[key]["low"], c[key]["high"], color=colour, alpha=0.2, lw=0)
-                axis.plot(time, c[key]["mean"], color=colour, lw=1.6, label=f"{label} (band: all of the ensemble)")
-            axis.plot(time, c["read"], ".", color=MEASURED, ms=4, label="read of the target")
-            axis.set_title(f"{escape_mathtext(name)} ({c['unit']})", loc="left", fontsize=10)
+                band = getattr(c, key)
+                axis.fill_between(time, band.low, band.high, color=colour, alpha=0.2, lw=0)
+                axis.plot(time, band.mean, color=colour, lw=1.6, label=f"{label} (band: all of the ensemble)")
+            axis.plot(time, c.read, ".", color=MEASURED, ms=4, label="read of the target")
+            axis.set_title(f"{escape_mathtext(name)} ({c.unit})", loc="left", fontsize=10)
         for axis in axes[2:]:
             axis.set_xlabel("time in the episode (s)")
         handles, labels = axes[0].get_legend_handles_labels()
@@ -70,18 +67,12 @@ def forecast_figure(example: dict) -> Figure:
     return figure
 
 
-def telling_channels(channels: dict[str, dict]) -> list[str]:
+def worst_forecast_channels(channels: dict[str, ForecastChannel]) -> list[str]:
     """Channels whose first forecast is furthest off for how much they move, in the model's order."""
 
-    def off(c: dict) -> float:
-        read = np.array(c["read"])
-        return float(np.square(read - c["before"]["mean"]).mean() / max(read.var(), 1e-12))
+    def relative_error(c: ForecastChannel) -> float:
+        read = np.array(c.read)
+        return float(np.square(read - c.before.mean).mean() / max(read.var(), 1e-12))
 
-    keep = sorted(channels, key=lambda name: -off(channels[name]))[:SHOWN_CHANNELS]
+    keep = sorted(channels, key=lambda name: -relative_error(channels[name]))[:SHOWN_CHANNELS]
     return [name for name in channels if name in keep]
-
-
-def styled_svg(figure: Figure) -> str:
-    """As SVG."""
-    with matplotlib.rc_context(STYLE):
-        return svg(figure)

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import json
-from html import escape
 from pathlib import Path
 
-from idapt_pl.effects.wording import format_number
 from idapt_pl.files import write_atomically
-from idapt_pl.report.found_effects import found_effects_section
-from idapt_pl.report.html import CSS, paragraph, row, section, table
+from idapt_pl.report.html import (
+    TONE,
+    details,
+    document,
+    figure,
+    header,
+    paragraph,
+    preformatted,
+    row,
+    scrollable,
+    section,
+    table,
+    tile,
+    tiles,
+)
+from idapt_pl.report.plots import svg
 from idapt_pl.report.run_figures import returns_figure
-from idapt_pl.report.run_pictures import data_uri, png, translated_examples
-from idapt_pl.report.run_record import RunRecord, StepRecord, read_run_record
+from idapt_pl.report.run_record import RunRecord, read_run_record
+from idapt_pl.report.run_step import step_section
+from idapt_pl.report.run_wording import format_result, format_score, step_name
 from idapt_pl.run import Run
-from idapt_pl.stages.rollback import RollbackDecision
 
-RUN_CSS = """
-:root { --tone: #1d6fa5; }
-.tiles { display: flex; flex-wrap: wrap; gap: .6rem; margin: .8rem 0; }
-.tile { flex: 1 1 8rem; background: #f4f5f7; border-radius: 8px; padding: .5rem .75rem; }
-.tile b { display: block; font-size: 1.35rem; font-variant-numeric: tabular-nums; }
-.tile.best { background: #e6f1f8; }
-.look { display: flex; flex-wrap: wrap; gap: 1.25rem; margin: .6rem 0; }
-.grid { display: grid; gap: 4px; align-content: start; align-items: center; font-size: .87rem; color: #62666d; }
-.look img { image-rendering: pixelated; border-radius: 4px; display: block; }
-.grid img { width: 92px; }
-.clip { width: 276px; } .clip img { width: 100%; }
-.rolled { border-left: 6px solid #b4452c; }
-"""
+ROLLED_BACK_CSS = "section.rolled { border-left: 6px solid #b4452c; }\n"
+"""Marks steps whose F was rolled back."""
 
 
 def write_run_report(run: Run, path: Path | None = None) -> Path:
@@ -42,43 +43,11 @@ def write_run_report(run: Run, path: Path | None = None) -> Path:
 def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
     metric = run.worlds.task.metric
-    parts = [outcome_header(record, metric), unfinished(record), chart(record, metric)]
+    parts = [outcome_header(record, metric), missing_section(record), returns_section(record, metric)]
     parts += [step_section(record, step, metric, run) for step in record.steps]
-    parts += [times_section(record), ledger_section(record), run_settings(record)]
-    title = escape(f"{record.config['task']}: source to {record.config['target']}, seed {record.config['seed']}")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{title}</title>\n<style>{CSS}{RUN_CSS}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(p for p in parts if p)
-        + "\n</main>\n</body>\n</html>\n"
-    )
-
-
-# --- the outcome ------------------------------------------------------------------------------------
-
-
-def format_score(value: float, metric: str) -> str:
-    """A return, or a share of successes."""
-    return f"{100 * value:.0f} %" if metric == "success" else f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}"
-
-
-def format_result(result: dict, metric: str) -> str:
-    """Mean and spread; the spread of successes says nothing that their share does not."""
-    mean = format_score(result["mean"], metric)
-    return mean if metric == "success" else f"{mean} ± {format_score(result['std'], metric)}"
-
-
-def step_name(step: StepRecord) -> str:
-    """What a step's policy is called."""
-    if step.k:
-        return f"Grounding step {step.k}"
-    return f"Visual grounding{', source repaired' if repaired(step) else ' only'}"
-
-
-def repaired(step: StepRecord) -> bool:
-    """Whether effects were added to the source in it."""
-    return any(found.get("effects") for found in (step.looks, step.effects))
+    parts += [times_section(record), ledger_section(record), run_settings_section(record)]
+    title = f"{record.config['task']}: source to {record.config['target']}, seed {record.config['seed']}"
+    return document(title, parts, TONE, ROLLED_BACK_CSS)
 
 
 def outcome_header(record: RunRecord, metric: str) -> str:
@@ -89,38 +58,33 @@ def outcome_header(record: RunRecord, metric: str) -> str:
         head = f"{metric.capitalize()} in the target: {format_score(last[0].evaluation['target']['mean'], metric)}"
         if record.direct_transfer:
             head += f", where direct transfer has {format_score(record.direct_transfer['mean'], metric)}"
-    tiles = [tile("direct transfer", record.direct_transfer, metric)]
-    tiles += [tile(step_name(s).lower(), s.evaluation["target"], metric, s in last) for s in record.evaluated]
-    tiles += [tile("oracle", record.oracle, metric, missing="not trained")]
+    made = [result_tile("direct transfer", record.direct_transfer, metric)]
+    made += [result_tile(step_name(s).lower(), s.evaluation["target"], metric, s in last) for s in record.evaluated]
+    made += [result_tile("oracle", record.oracle, metric, missing="not trained")]
     used = max((s.interactions for s in record.steps), default=0)
-    tiles.append(f'<div class="tile"><b>{used:,}</b>target interactions</div>')
+    made.append(tile(f"{used:,}", "target interactions"))
     p = record.provenance
-    made = [
-        p.get("started", "date unknown")[:10],
+    about = [
+        f"{c['task']}, source to {c['target']}, seed {c['seed']}; {p.get('started', 'date unknown')[:10]}",
         f"commit {(p.get('git_commit') or 'unknown')[:10]}{'+dirty' * str(p.get('git_commit')).endswith('+dirty')}",
         f"idapt {p.get('versions', {}).get('idapt', '?')}",
         str(p.get("device", "device unknown")),
     ]
     but = " but the oracle" if record.oracle else ""
-    return (
-        f'<header>\n<p class="small">{escape(c["task"])}, source to {escape(c["target"])}, seed {c["seed"]}; '
-        f'{escape(", ".join(made))}</p>\n<h1>{escape(head)}</h1>\n<div class="tiles">{"".join(tiles)}</div>\n'
-        + paragraph(
-            f"The {metric} in the target is for evaluation only: nothing in the run{but} was trained or selected on "
-            "it. The method saw the target's images and its own actions.",
-            "small",
-        )
-        + "\n</header>"
+    note = paragraph(
+        f"The {metric} in the target is for evaluation only: nothing in the run{but} was trained or selected on "
+        "it. The method saw the target's images and its own actions.",
+        "small",
     )
+    return header(head, tiles(*made), note, note=", ".join(about))
 
 
-def tile(name: str, result: dict, metric: str, best: bool = False, missing: str = "not measured") -> str:
-    """One headline number."""
-    value = format_result(result, metric) if result else missing
-    return f'<div class="tile{" best" * best}"><b>{escape(value)}</b>{escape(name)}</div>'
+def result_tile(name: str, result: dict, metric: str, best: bool = False, missing: str = "not measured") -> str:
+    """A result as one of the headline numbers."""
+    return tile(format_result(result, metric) if result else missing, name, "best" * best)
 
 
-def unfinished(record: RunRecord) -> str:
+def missing_section(record: RunRecord) -> str:
     """What is missing, and how to get it."""
     parts = []
     if not record.finished:
@@ -134,7 +98,7 @@ def unfinished(record: RunRecord) -> str:
     return section("What is missing", *map(paragraph, parts)) if parts else ""
 
 
-def chart(record: RunRecord, metric: str) -> str:
+def returns_section(record: RunRecord, metric: str) -> str:
     """Returns against what they cost."""
     if not record.evaluated:
         return ""
@@ -142,153 +106,8 @@ def chart(record: RunRecord, metric: str) -> str:
     caption += (
         "The oracle's own are in the ledger below." if record.oracle else "There is no oracle; --oracle true adds it."
     )
-    picture = f'<div class="wide">{returns_figure(record, metric)}</div>'
-    return section(
-        "Against target interactions", f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>"
-    )
-
-
-# --- a step -----------------------------------------------------------------------------------------
-
-
-def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> str:
-    """One grounding step: in words, in pictures, in numbers."""
-    model = run.worlds.source_domain.compile()
-    parts = [paragraph(s) for s in step_story(record, step, metric)]
-    parts += [
-        visual_effects_section(step),
-        found_effects_section(step.effects, model),
-        step_images(step, run),
-        step_numbers(step, metric),
-    ]
-    title = f"Step {step.k}: {'G, F and the policy' if step.k else 'G, and effects' if repaired(step) else 'G alone'}"
-    made = section(title, *(p for p in parts if p))
-    return made.replace("<section>", '<section class="rolled">') if step.selection.get("rolled_back") else made
-
-
-def spread(residual: dict, key: str) -> str:
-    """An energy distance and, where it was measured on several rollouts, their standard deviation."""
-    std = residual.get(f"{key}_std")
-    return format_number(residual[key]) + (f" ± {format_number(std)}" if std is not None else "")
-
-
-def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
-    """What happened in a step, in sentences."""
-    told = []
-    if not step.evaluation:
-        stages = ", ".join(step.seconds) or "nothing"
-        return [f"This step did not end: there is no evaluation. Finished in it: {stages}."]
-    before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
-    now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
-    now += f", {format_score(before['mean'], metric)} before" if before else ""
-    told.append(f"{now}; in the grounded source: {format_score(step.evaluation['grounded']['mean'], metric)}.")
-    if residual := step.evaluation.get("residual"):
-        which = "the F that was gone back to" if step.selection.get("rolled_back") else "F"
-        told.append(
-            f"With {which}, the grounded source moves {spread(residual, 'after')} away from the target, without it "
-            f"{spread(residual, 'before')}; two halves of the target's own data are {format_number(residual['noise_floor'])} "
-            "apart (energy distance of transitions, ± the standard deviation over rollouts)."
-        )
-    psnr = step.evaluation["translation"]["psnr"]
-    told[0] += f" What G draws is {format_number(psnr)} dB (PSNR) from the target's image of the same state."
-    if step.training.get("kept") == "before":
-        before, after = (format_score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))
-        told.append(
-            f"Training made the policy worse in the grounded source ({metric} {before} before, {after} after): it was "
-            "put back."
-        )
-    if step.selection:
-        told.append(RollbackDecision.from_dict(step.selection).sentence + ".")
-    return told
-
-
-def step_images(step: StepRecord, run: Run) -> str:
-    """Source, translation and target; and the policy at work."""
-    made = [translated_frames(step, run)]
-    clip = step.folder / "policy_in_grounded_and_target.gif"
-    if clip.exists():
-        uri = data_uri(clip.read_bytes(), "gif")
-        caption = "The policy: grounded source (left), target (right; evaluation only)."
-        made.append(
-            f'<figure class="clip"><img src="{uri}" alt="the policy"><figcaption>{caption}</figcaption></figure>'
-        )
-    return f'<div class="look">{"".join(m for m in made if m)}</div>'
-
-
-def translated_frames(step: StepRecord, run: Run) -> str:
-    """Rows of pictures: what the source shows, what G makes of it, and the real target frame most like that."""
-    checkpoint = step.folder / "visual" / "final.ckpt"
-    if not checkpoint.exists():
-        return paragraph("No pictures: G of this step has not been trained yet.", "small")
-    try:
-        G = run.load_visual(checkpoint)
-    except Exception as error:  # what a damaged checkpoint raises can be anything
-        return paragraph(f"No pictures: {checkpoint} cannot be loaded ({type(error).__name__}: {error}).", "small")
-    try:
-        seen = translated_examples(step.folder / "source.h5", step.folder / "target.h5", G)
-    except (ValueError, OSError, KeyError) as error:
-        return paragraph(f"No pictures: {error}", "small")
-    rows = {"source": seen.source, "G makes of it": seen.translated, "most similar real target frame": seen.target}
-    cells = "".join(
-        f"<span>{name}</span>" + "".join(f'<img src="{png(i)}" alt="{name}">' for i in images)
-        for name, images in rows.items()
-    )
-    return f'<div class="grid" style="grid-template-columns: 6.5rem repeat({len(seen.source)}, 92px)">{cells}</div>'
-
-
-def visual_effects_section(step: StepRecord) -> str:
-    """What the first frames of the target's episodes show the source to lack."""
-    if not step.looks:
-        return ""
-    before, after, floor = (format_number(step.looks[k]) for k in ("before", "after", "floor"))
-    then = (
-        f"and {after} from that of the source with the visual effects below"
-        if step.looks["estimates"]
-        else ("and no visual effect was found that brings them nearer")
-    )
-    told = paragraph(
-        f"The mean first frame of the target's episodes held out is {before} levels (of 255, root mean square) from "
-        f"the source's, {then}; noise alone makes {floor}."
-    )
-    uri = f"data:image/png;base64,{step.looks['picture']}"
-    caption = "Mean first frames: source, source with the effects found, target."
-    picture = (
-        f'<figure class="clip"><img src="{uri}" alt="mean first frames"><figcaption>{caption}</figcaption></figure>'
-    )
-    rows = [
-        row(e["effect"], e["target"], name, f"#{format_number(value)}", f"#{format_number(e['std'][name])}", e["unit"])
-        for e in step.looks["estimates"]
-        for name, value in e["estimate"].items()
-    ]
-    heads = ("visual effect found", "where", "what", "#value", "#standard deviation", "unit")
-    values = f"<details><summary>Values</summary>\n{table(heads, rows)}</details>" if rows else ""
-    return told + f'<div class="look">{picture}</div>' + values
-
-
-def step_numbers(step: StepRecord, metric: str) -> str:
-    """Translation errors and the rest of the evaluation, folded away."""
-    if not step.evaluation:
-        return ""
-    t = step.evaluation["translation"]
-    rows = [row("PSNR of G against the target's image of the same state", f"#{format_number(t['psnr'])}", "dB")]
-    readers = {
-        "state_source": "P^S reads off source images",
-        "state_translated": "P^T off what G makes of them",
-        "state_target": "P^T off target images",
-    }
-    for key, what in readers.items():
-        if key in t:
-            rows.append(row(f"state error, {what}", "#" + ", ".join(map(format_number, t[key])), "mean absolute, each"))
-    for key, what in {"before": "without F", "after": "with F", "noise_floor": "halves of the target's data"}.items():
-        if "residual" in step.evaluation:
-            rows.append(row(f"residual, {what}", f"#{spread(step.evaluation['residual'], key)}", "energy distance"))
-    every = step.evaluation["target"]["successes"] or step.evaluation["target"]["returns"]
-    rows.append(row(f"{metric} in the target, worst and best episode", f"#{min(every):g} to {max(every):g}", ""))
-    note = paragraph("For evaluation only, with source and target put into the same states.", "small")
-    return f"<details><summary>Errors and returns</summary>\n{table(('what', '#value', 'unit'), rows)}{note}</details>"
-
-
-# --- the rest ---------------------------------------------------------------------------------------
+    picture = scrollable(svg(returns_figure(record, metric)))
+    return section("Against target interactions", figure(picture, caption))
 
 
 def times_section(record: RunRecord) -> str:
@@ -325,7 +144,7 @@ def ledger_section(record: RunRecord) -> str:
     )
 
 
-def run_settings(record: RunRecord) -> str:
+def run_settings_section(record: RunRecord) -> str:
     """How to make the run again."""
     p = record.provenance
     versions = ", ".join(f"{k} {v}" for k, v in p.get("versions", {}).items())
@@ -337,7 +156,6 @@ def run_settings(record: RunRecord) -> str:
         row("machine", f"{p.get('device', '?')}; {p.get('cpu', '?')}; {p.get('platform', '?')}"),
         row("versions", f"python {p.get('python', '?')}, {versions}"),
     ]
-    config = json.dumps(record.config["schedule"], indent=2)
-    folded = f"<details><summary>Schedule</summary><pre>{escape(config)}</pre></details>"
+    folded = details("Schedule", preformatted(json.dumps(record.config["schedule"], indent=2)))
     note = paragraph("The complete config is config.yaml in the run folder.", "small")
     return section("Settings", table(("", ""), rows), folded, note)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 
 from datamodules.trajectories import open_trajectory_file
@@ -50,18 +48,8 @@ def translated_examples(source: Path, target: Path, G: VisualTransformation, cou
         G: the visual transformation.
         count: how many frames.
     """
-    seen = spread_stacks(source, count, G.frames)
-    translated = G.translate(seen)[:, -1]
+    stacks = spread_stacks(source, count, G.frames)
+    translated = G.translate(stacks)[:, -1]
     real = spread_stacks(target, SEARCHED_FRAMES, 1)[:, 0]
-    far = [np.abs(real.astype(np.int16) - image).mean((1, 2, 3)) for image in translated.astype(np.int16)]
-    return TranslatedExamples(seen[:, -1], translated, real[np.argmin(far, 1)])
-
-
-def png(image: np.ndarray) -> str:
-    """An image as a data URI."""
-    return data_uri(iio.imwrite("<bytes>", image, extension=".png"), "png")
-
-
-def data_uri(data: bytes, kind: str) -> str:
-    """An image file as a data URI, so that the page needs nothing beside it."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    distances = [np.abs(real.astype(np.int16) - image).mean((1, 2, 3)) for image in translated.astype(np.int16)]
+    return TranslatedExamples(stacks[:, -1], translated, real[np.argmin(distances, 1)])

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import yaml
+
+from idapt_pl.appearance import VisualEffects
+from idapt_pl.image_diagnosis import ImageDiagnosis
 
 ORDER = (
     "target",
@@ -31,9 +36,7 @@ ORDER = (
 )
 """Stages of a grounding step."""
 
-
-MEASURED = ("evaluation", "effects", "selection", "looks", "policy/stage")
-"""What is read of a grounding step, in the order of :class:`StepRecord`'s fields."""
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,9 @@ class StepRecord:
         k: its number.
         folder: ``RUN/step_<k>``.
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
-        effects: what was found missing in the source, as in ``effects.json``.
+        diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
         selection: whether F was kept, as in ``selection.json``.
-        looks: visual effects that were found missing in the source, as in ``looks.json``.
+        visual_effects: what its pictures were found to lack (``looks.json``); likewise.
         training: of the policy, as in its ``stage.json``: whether it was put back to what it was before.
         seconds: wall-clock time of every finished stage, s, in the order of Algorithm 1.
         interactions: target control steps that training had used when this step's policy was made.
@@ -55,12 +58,17 @@ class StepRecord:
     k: int
     folder: Path
     evaluation: dict
-    effects: dict
+    diagnosis: ImageDiagnosis | None
     selection: dict
-    looks: dict
+    visual_effects: VisualEffects | None
     training: dict
     seconds: dict[str, float]
     interactions: int
+
+    @property
+    def source_repaired(self) -> bool:
+        """Whether effects were added to the source in it."""
+        return any(found is not None and found.effects for found in (self.visual_effects, self.diagnosis))
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,43 @@ class RunRecord:
         return len(self.evaluated) == self.planned + 1
 
 
+class RunFiles:
+    """Reads JSON files of a run folder, and remembers those that make no sense.
+
+    Args:
+        run: the folder.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self.unreadable: list[str] = []
+
+    def read(self, path: Path) -> dict:
+        """The content of a file; empty if it is missing or unreadable."""
+        try:
+            return json.loads(path.read_text())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError):
+            self._note_unreadable(path)
+            return {}
+
+    def read_as(self, path: Path, from_dict: Callable[[Mapping], Result]) -> Result | None:
+        """The value that a file holds; None if it is missing or unreadable."""
+        if not (entry := self.read(path)):
+            return None
+        try:
+            return from_dict(entry)
+        except (KeyError, TypeError, ValueError):
+            self._note_unreadable(path)
+            return None
+
+    def _note_unreadable(self, path: Path) -> None:
+        name = str(path.relative_to(self.run))
+        if name not in self.unreadable:
+            self.unreadable.append(name)
+
+
 def read_run_record(run: Path) -> RunRecord:
     """Read a run folder.
 
@@ -111,41 +156,38 @@ def read_run_record(run: Path) -> RunRecord:
     """
     if not (run / "config.yaml").is_file():
         raise ValueError(f"{run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
-    unreadable: list[str] = []
-
-    def read(path: Path) -> dict:
-        try:
-            return json.loads(path.read_text())
-        except FileNotFoundError:
-            return {}
-        except (OSError, ValueError):
-            unreadable.append(str(path.relative_to(run)))
-            return {}
-
-    ledger = read(run / "ledger.json").get("entries", [])
-    first = run / "step_00"
+    files, first = RunFiles(run), run / "step_00"
+    ledger = files.read(run / "ledger.json").get("entries", [])
     return RunRecord(
         run,
         yaml.safe_load((run / "config.yaml").read_text()),
-        read(run / "run.json"),
+        files.read(run / "run.json"),
         ledger,
-        read(first / "direct_transfer.json"),
-        read(first / "oracle_evaluation.json"),
-        [read_step_record(folder, ledger, read) for folder in sorted(run.glob("step_[0-9]*"))],
-        unreadable,
+        files.read(first / "direct_transfer.json"),
+        files.read(first / "oracle_evaluation.json"),
+        [read_step_record(folder, ledger, files) for folder in sorted(run.glob("step_[0-9]*"))],
+        files.unreadable,
     )
 
 
-def read_step_record(folder: Path, ledger: list[dict], read) -> StepRecord:
+def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepRecord:
     """Read the folder of one grounding step."""
     k = int(folder.name.removeprefix("step_"))
-    used = sum(e["count"] for e in ledger if e["purpose"] == "training" and e["step"] <= k)
-    measured = [read(folder / f"{name}.json") for name in MEASURED]
-    found = map(read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")]))
-    seconds = {t["stage"]: t["wall_s"] for t in found if {"stage", "wall_s"} <= set(t)}
-    return StepRecord(k, folder, *measured, {name: seconds[name] for name in sorted(seconds, key=place)}, used)
+    timed = map(files.read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")]))
+    seconds = {t["stage"]: t["wall_s"] for t in timed if {"stage", "wall_s"} <= set(t)}
+    return StepRecord(
+        k,
+        folder,
+        evaluation=files.read(folder / "evaluation.json"),
+        diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
+        selection=files.read(folder / "selection.json"),
+        visual_effects=files.read_as(folder / "looks.json", VisualEffects.from_dict),
+        training=files.read(folder / "policy/stage.json"),
+        seconds={name: seconds[name] for name in sorted(seconds, key=stage_place)},
+        interactions=sum(e["count"] for e in ledger if e["purpose"] == "training" and e["step"] <= k),
+    )
 
 
-def place(stage: str) -> int:
+def stage_place(stage: str) -> int:
     """Where a stage stands in Algorithm 1; what is not of it (the oracle) comes last."""
     return ORDER.index(stage) if stage in ORDER else len(ORDER)

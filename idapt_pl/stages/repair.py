@@ -36,7 +36,7 @@ class SourceRepair:
         worlds = self.context.worlds
 
         def make(seed: int) -> dict:
-            return discover_visual_effects(worlds.task, worlds.source_domain, D_T, seed, worlds.view)
+            return discover_visual_effects(worlds.task, worlds.source_domain, D_T, seed, worlds.view).to_dict()
 
         self._add(0, self.context.stages.measure(0, "looks", make)["effects"])
 
@@ -53,9 +53,10 @@ class SourceRepair:
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
-            return discover_effects(
+            found = discover_effects(
                 worlds.source_domain, sensor, G, target, [control], self.settings, seed, worlds.image_env
             )
+            return found.to_dict()
 
         found = self.context.stages.measure(k, "effects", make)["effects"]
         self._add(k, found)

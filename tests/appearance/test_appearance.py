@@ -1,5 +1,7 @@
-"""Visual effects from first frames: knobs say what their effects say, planted ones are found, and nothing else."""
+"""Visual effects from first frames: parameters say what their effects say, planted ones are found, and nothing else."""
 
+import base64
+import json
 from contextlib import closing
 
 import mujoco
@@ -15,21 +17,22 @@ from idapt_pl.appearance.parameters import (
     BlurParameter,
     CameraParameter,
     ColorParameter,
-    LampParameter,
+    LightParameter,
     SkyParameter,
     visual_parameters,
 )
+from idapt_pl.appearance.result import VisualEffects
 from idapt_pl.appearance.search import find_visual_effects
-from idapt_pl.effects import Domain, effect_from_dict
+from idapt_pl.effects import Domain
 from idapt_pl.effects.visual import Blur, Color, Light, Renderer
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.rendering.make import make_renderer
 from idapt_pl.tasks import make_task
 
 PENDULUM = make_task("inverted_pendulum")
-TURNED = {
+CHANGED = {
     CameraParameter: [0.05, -0.04, 0.1, 0.03, -0.02, 0.05],
-    LampParameter: [0.3, 0.5, 0.2, 0.4, 0.3, 0.1],
+    LightParameter: [0.3, 0.5, 0.2, 0.4, 0.3, 0.1],
     ColorParameter: [0.9, 0.2, 0.1],
     SkyParameter: [0.2, 0.5, 0.7, 0.1, 0.05, 0.3],
     BlurParameter: [4.0],
@@ -44,33 +47,38 @@ def begins(task, effects, size=40, episodes=12):
         return env.reset(seed=3)[0]["pixels"][:, 0]
 
 
-@pytest.mark.parametrize("kind", TURNED)
+@pytest.mark.parametrize("kind", CHANGED)
 @pytest.mark.parametrize("name", ["inverted_pendulum", "half_cheetah"])
-def test_a_knob_shows_what_its_effects_show(name, kind):
+def test_a_parameter_shows_what_its_effects_show(name, kind):
     task = make_task(name)
     source = task.domain("source")
-    knob, values = next(k for k in visual_parameters(source.spec()) if isinstance(k, kind)), np.array(TURNED[kind])
-    repaired = source.with_effects(*knob.effects(source.spec(), values))
+    parameter, values = (
+        next(p for p in visual_parameters(source.spec()) if isinstance(p, kind)),
+        np.array(CHANGED[kind]),
+    )
+    repaired = source.with_effects(*parameter.effects(source.spec(), values))
     with FirstFrames(task, source, 64, 3, seed=0) as frames, FirstFrames(task, repaired, 64, 3, seed=0) as others:
-        nominal, turned, said = frames.mean({}), frames.mean({knob: values}), others.mean({})
-    if kind is BlurParameter:  # the effect is on what the environments render, which FirstFrames leaves to its knob
+        nominal, changed, said = frames.mean({}), frames.mean({parameter: values}), others.mean({})
+    if (
+        kind is BlurParameter
+    ):  # the effect is on what the environments render, which FirstFrames leaves to its parameter
         data = mujoco.MjData(model := repaired.compile())
         task.reset(model, data, np.random.default_rng(0))
         mujoco.mj_forward(model, data)
         with closing(make_renderer(model, 64)) as soft, FirstFrames(task, source, 64, 1, seed=0) as one:
-            turned, said = one.mean({knob: values}), soft(data) / 255
-    changed = np.abs(turned - nominal).mean()
-    assert changed > 0.3 / 255, "the knob does nothing, so this says nothing"
-    assert np.abs(turned - said).mean() < 0.1 * changed
+            changed, said = one.mean({parameter: values}), soft(data) / 255
+    change = np.abs(changed - nominal).mean()
+    assert change > 0.3 / 255, "the parameter does nothing, so this says nothing"
+    assert np.abs(changed - said).mean() < 0.1 * change
 
 
-def test_turning_knobs_back_shows_the_nominal_picture_again():
+def test_nominal_values_show_the_nominal_picture_again():
     source = make_task("half_cheetah").domain("source")
-    settings = {k: np.array(TURNED[type(k)]) for k in visual_parameters(source.spec())}
+    settings = {p: np.array(CHANGED[type(p)]) for p in visual_parameters(source.spec())}
     with FirstFrames(make_task("half_cheetah"), source, 32, 2, seed=0) as frames:
-        before, turned, after = frames({}), frames(settings), frames({})
+        before, changed, after = frames({}), frames(settings), frames({})
     assert (before == after).all()
-    assert (before != turned).any()
+    assert (before != changed).any()
 
 
 def test_blurred_images_are_those_of_the_renderer_under_a_gaussian():
@@ -81,17 +89,17 @@ def test_blurred_images_are_those_of_the_renderer_under_a_gaussian():
 
 def test_a_source_that_is_blurred_already_is_shown_blurred():
     soft = PENDULUM.domain("source").with_effects(Blur("world", 0.02))
-    knob = next(k for k in visual_parameters(soft.spec()) if isinstance(k, BlurParameter))
-    assert knob.nominal == pytest.approx([4.0])
+    blur = next(p for p in visual_parameters(soft.spec()) if isinstance(p, BlurParameter))
+    assert blur.nominal == pytest.approx([4.0])
     with FirstFrames(PENDULUM, soft, 32, 2, seed=0) as frames:
-        assert frames.mean({}) == pytest.approx(frames.mean({knob: knob.nominal}))
-        assert np.abs(frames.mean({}) - frames.mean({knob: np.zeros(1)})).max() > 0.05
+        assert frames.mean({}) == pytest.approx(frames.mean({blur: blur.nominal}))
+        assert np.abs(frames.mean({}) - frames.mean({blur: np.zeros(1)})).max() > 0.05
 
 
 def test_nothing_is_found_where_nothing_is_planted():
-    looks = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
-    assert not looks.settings
-    assert looks.before < 2 * looks.floor
+    result = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, ()), seed=1)
+    assert result.effects == result.estimates == ()
+    assert result.before < 2 * result.floor
 
 
 @pytest.mark.parametrize(
@@ -107,26 +115,27 @@ def test_nothing_is_found_where_nothing_is_planted():
     ],
 )
 def test_a_planted_visual_effect_is_found_alone(effect, key, truth):
-    looks = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (effect,)), seed=1, draws=4)
-    assert [k.key for k in looks.settings] == [key]
-    (found,) = looks.settings.values()
-    assert found == pytest.approx(truth, rel=0.15, abs=0.05)
-    assert looks.after < max(0.2 * looks.before, 1.5 * looks.floor) < looks.before
+    result = find_visual_effects(PENDULUM, PENDULUM.domain("source"), begins(PENDULUM, (effect,)), seed=1, draws=4)
+    (found,) = result.estimates
+    assert found.key == key
+    assert list(found.estimate.values()) == pytest.approx(truth, rel=0.15, abs=0.05)
+    assert result.after < max(0.2 * result.before, 1.5 * result.floor) < result.before
 
 
 def test_a_camera_that_was_bumped_is_found():
     source = PENDULUM.domain("source")
     camera = next(k for k in visual_parameters(source.spec()) if isinstance(k, CameraParameter))
     bump = np.array([0.04, -0.03, 0.06, 0.02, -0.015, 0.03])
-    looks = find_visual_effects(
+    result = find_visual_effects(
         PENDULUM, source, begins(PENDULUM, camera.effects(source.spec(), bump), 48), seed=1, draws=6
     )
-    assert [k.key for k in looks.settings] == [camera.key]
-    (moved,) = looks.settings.values()
+    (found,) = result.estimates
+    assert found.key == camera.key
+    moved = list(found.estimate.values())
     # Small shifts and turns look alike; what the picture shows is where things are in it, and how it is turned.
     assert moved[0] / 2.04 - moved[4] == pytest.approx(bump[0] / 2.04 - bump[4], abs=0.005)
     assert moved[5] == pytest.approx(bump[5], abs=0.005)
-    assert looks.after < 0.3 * looks.before
+    assert result.after < 0.3 * result.before
 
 
 def test_what_is_found_in_a_file_can_be_added_to_the_source(tmp_path):
@@ -135,10 +144,12 @@ def test_what_is_found_in_a_file_can_be_added_to_the_source(tmp_path):
     write_trajectories(tmp_path / "d.h5", Trajectories(episodes, 0.04, "test"))
     source = PENDULUM.domain("source")
     found = discover_visual_effects(PENDULUM, source, tmp_path / "d.h5", seed=0)
-    repaired = source.with_effects(*map(effect_from_dict, found["effects"]))
+    repaired = source.with_effects(*found.effects)
     assert repaired.compile().geom("cart").rgba[:3] == pytest.approx([0.2, 0.3, 0.8], abs=0.05)
-    assert found["after"] < 0.2 * found["before"]
-    assert found["estimates"][0]["std"]["red"] > 0
+    assert found.after < 0.2 * found.before
+    assert found.estimates[0].std["red"] > 0
+    assert VisualEffects.from_dict(json.loads(json.dumps(found.to_dict()))) == found, "the file says it all"
+    assert base64.b64decode(found.picture).startswith(b"\x89PNG")
 
 
 def test_too_few_episodes_are_refused():

@@ -11,7 +11,7 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.estimation.energy import energy_score
-from idapt_pl.image_diagnosis.discover import of_one_parameter
+from idapt_pl.image_diagnosis.forecast_diagnosis import of_one_parameter
 from idapt_pl.image_diagnosis.forecast_search import bracket_minimum, evaluate_at, first_values, refine_estimate
 from idapt_pl.image_diagnosis.forecasts import Forecaster, ObservedStart, pad_with_last, play_commands
 from idapt_pl.image_diagnosis.parabola import SYSTEMATIC_LOG_STD, parabola_minimum
@@ -86,7 +86,7 @@ def test_the_right_dynamics_forecast_best(mass):
 
 
 class Valley:
-    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each sighting."""
+    """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each episode."""
 
     lowest = np.log(80.0) + 0.1 * np.linspace(-1, 1, 12)
 

@@ -2,7 +2,6 @@
 
 from contextlib import closing
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import SensorGain
@@ -20,11 +20,11 @@ from idapt_pl.image_diagnosis.forecasts import play_commands
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.image_diagnosis.windows import (
-    believable,
+    WindowDiagnosis,
     beyond_the_control,
     drop_unconvincing,
-    removed_error_share,
-    sensor_makes_up,
+    is_believable,
+    is_sensor_error,
 )
 from idapt_pl.tasks import make_task
 
@@ -55,13 +55,11 @@ class Reader(torch.nn.Module):
 
 
 class Identity:
-    """What :func:`discover` needs of a visual transformation."""
-
-    frames = 1
+    """What a sensor needs of a visual transformation."""
 
     @staticmethod
-    def translate(pixels):
-        return pixels
+    def translate_episode(episode):
+        return episode
 
 
 def recorded(path, domain, seed, episodes=60, steps=12, states=False):
@@ -105,7 +103,7 @@ def played(path, domain, seed, states=False):
     return path
 
 
-def found(tmp_path, *hidden, gain=1.0, options=LOOK_FOR, recorded=recorded):
+def discover_in(tmp_path, *hidden, gain=1.0, options=LOOK_FOR, recorded=recorded):
     task = make_task("inverted_pendulum")
     source = task.domain("source")
     control = recorded(tmp_path / "control.h5", source, 1, states=True)
@@ -115,16 +113,20 @@ def found(tmp_path, *hidden, gain=1.0, options=LOOK_FOR, recorded=recorded):
     return discover_effects(source, sensor, Identity(), [target], [control], options, 0, make_env)
 
 
+def keys(effects):
+    return [(e.name, e.target) for e in effects]
+
+
 @pytest.mark.parametrize("hidden", [BodyMass("pole", 50.0), JointDamping("hinge", 8.0)])
 def test_a_planted_effect_is_found(tmp_path, hidden):
-    result = found(tmp_path, hidden)
-    (effect,) = result["effects"]
-    assert (effect["effect"], effect["target"]) == (hidden.name, hidden.target)
-    value, truth = next(iter(effect["parameters"].values())), next(iter(hidden.to_dict()["parameters"].values()))
+    result = discover_in(tmp_path, hidden)
+    (effect,) = result.effects
+    assert (effect.name, effect.target) == (hidden.name, hidden.target)
+    value, truth = (next(iter(e.to_dict()["parameters"].values())) for e in (effect, hidden))
     assert value == pytest.approx(truth, rel=0.1)
-    assert result["after"] < 0.5 * result["before"] and "forecasts" not in result
-    assert result["sensor"]["position"] == pytest.approx([1e-3, 1e-3], rel=0.5)
-    (low, high), gain = next(iter(result["estimates"][0]["parameters"].values()))["ci95"], result["unknown_gain"]
+    assert result.after < 0.5 * result.before and not result.by_forecasts
+    assert result.sensor_errors["position"] == pytest.approx([1e-3, 1e-3], rel=0.5)
+    (low, high), gain = next(iter(result.estimates[0].parameters.values())).ci95, result.evidence.unknown_gain
     assert low < truth < high and high - low > gain * truth, "the interval allows for a gain of the sensor"
 
 
@@ -133,36 +135,39 @@ def test_a_planted_effect_is_found(tmp_path, hidden):
 def test_where_a_sensor_cannot_tell_how_fast_things_move_forecasts_decide(tmp_path, monkeypatch, hidden, gain):
     """The same effect, or nothing, also where angles are read too small, which is on both sides of a forecast."""
     monkeypatch.setattr("idapt_pl.image_diagnosis.calibration.VELOCITY_ERROR_LIMIT", 1e-3)
-    result = found(tmp_path, *hidden, gain=gain, recorded=played)
-    assert result["forecasts"] and [(e["effect"], e["target"]) for e in result["effects"]] == [
-        (e.name, e.target) for e in hidden
-    ]
-    assert set(result["target"]) == {f"{joint}{what}" for joint in ("slider", "hinge") for what in ("", " velocity")}
+    result = discover_in(tmp_path, *hidden, gain=gain, recorded=played)
+    assert result.by_forecasts and keys(result.effects) == keys(hidden)
+    assert set(result.target) == {f"{joint}{what}" for joint in ("slider", "hinge") for what in ("", " velocity")}
     if hidden:
-        mass = result["estimates"][0]["parameters"]["mass"]
-        assert mass["estimate"] == pytest.approx(50.0, rel=0.1) and mass["ci95"][0] < 50.0 < mass["ci95"][1]
-        assert result["after"] < 0.7 * result["before"] and result["explained"] > 0.7
-    shown = result["example"]["channels"]
-    assert list(shown) == ["slider", "hinge"] and all(
-        len(c["read"]) == len(c["before"]["mean"]) for c in shown.values()
+        mass = result.estimates[0].parameters["mass"]
+        assert mass.estimate == pytest.approx(50.0, rel=0.1) and mass.ci95[0] < 50.0 < mass.ci95[1]
+        assert result.after < 0.7 * result.before and result.explained > 0.7
+    channels = result.evidence.example.channels
+    assert list(channels) == ["slider", "hinge"]
+    assert all(len(c.read) == len(c.before.mean) for c in channels.values())
+    before, after = (
+        sum(np.square(np.subtract(c.read, getattr(c, k).mean)).sum() for c in channels.values())
+        for k in ("before", "after")
     )
-    off = {k: sum(np.square(np.subtract(c["read"], c[k]["mean"])).sum() for c in shown.values())
-           for k in ("before", "after")}  # fmt: skip
-    assert off["after"] < 0.5 * off["before"] if hidden else off["after"] == off["before"]
+    assert after < 0.5 * before if hidden else after == before
 
 
 def test_two_planted_effects_are_found(tmp_path):
     hidden = BodyMass("pole", 50.0), JointDamping("slider", 20.0)
-    result = found(tmp_path, *hidden, options=replace(LOOK_FOR, max_effects=2))
-    assert {(e["effect"], e["target"]) for e in result["effects"]} == {(e.name, e.target) for e in hidden}
-    assert result["disbelieved"] == result["left_out"] == []
+    result = discover_in(tmp_path, *hidden, options=replace(LOOK_FOR, max_effects=2))
+    assert set(keys(result.effects)) == set(keys(hidden))
+    assert result.rejected == result.negligible == ()
+
+
+def estimate(effect, target="hinge", change=1.0):
+    """As far as an estimate matters for whether to believe it."""
+    return EffectEstimate(effect, target, {"x": ParameterEstimate(0.0, change, (0.0, 1.0), "1")}, {}, 1.0, 2.0, ())
 
 
 def diagnosis(*effects, after, before=4.0):
-    """As far as :func:`drop_unconvincing` looks at one: one channel, in units in which the control's error is 1."""
-    error = {"before": before, "after": after, "per_channel": {"hinge": {"before": before, "after": after}}}
-    report = {"error": error, "effects": [{"effect": e.name, "target": e.target} for e in effects]}
-    return SimpleNamespace(effects=effects, report=report)
+    """One channel, in units in which the control's error is 1."""
+    estimates = tuple(estimate(e.name, e.target) for e in effects)
+    return WindowDiagnosis(effects, estimates, before, after, {"hinge": ChannelError(before, after, 1.0, "rad")})
 
 
 MASS, DAMPING = BodyMass("pole", 50.0), JointDamping("hinge", 8.0)
@@ -172,29 +177,29 @@ MASS, DAMPING = BodyMass("pole", 50.0), JointDamping("hinge", 8.0)
 def test_a_second_effect_must_say_enough_for_itself(after_both, kept):
     """The first leaves 3.2 of 4; half of what is beyond the control's 1 is 1.1, three tenths of all is 0.96."""
     made = {2: diagnosis(MASS, DAMPING, after=after_both), 1: diagnosis(MASS, after=3.2)}
-    seen, left_out = drop_unconvincing(made.get, 2, diagnosis(before=1.0, after=1.0))
-    assert len(seen.effects) == kept and [e["effect"] for e in left_out] == ["joint_damping"][: 2 - kept]
+    seen, negligible = drop_unconvincing(made.get, 2, diagnosis(before=1.0, after=1.0))
+    assert len(seen.effects) == kept and [e.effect for e in negligible] == ["joint_damping"][: 2 - kept]
 
 
 def test_one_effect_is_diagnosed_once():
     asked = []
 
-    def diagnosed(most):
+    def diagnose_with(most):
         asked.append(most)
         return diagnosis(MASS, after=3.9)
 
-    assert drop_unconvincing(diagnosed, 2, diagnosis(before=1.0, after=1.0))[1] == [] and asked == [2]
+    assert drop_unconvincing(diagnose_with, 2, diagnosis(before=1.0, after=1.0))[1] == () and asked == [2]
 
 
 def test_nothing_is_found_where_nothing_is_planted(tmp_path):
-    result = found(tmp_path)
-    assert result["effects"] == []
+    result = discover_in(tmp_path)
+    assert result.effects == ()
 
 
 def test_what_the_control_shows_too_is_not_believed(tmp_path):
     """A sensor that reads all angles 40 % too small makes something up, in the source as well."""
-    result = found(tmp_path, gain=0.6)
-    assert result["effects"] == []
+    result = discover_in(tmp_path, gain=0.6)
+    assert result.effects == ()
 
 
 def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
@@ -207,13 +212,12 @@ def test_what_a_sensor_reads_belongs_to_its_frame_and_episode(tmp_path):
         assert here.observations["qpos"] == pytest.approx(again, abs=1e-2)
 
 
-def test_what_a_sensor_makes_up_counts_by_how_much_of_it_there_is():
+def test_what_is_found_in_the_control_counts_by_how_much_of_it_there_is():
     def delay(seconds, target="slide"):
-        parameters = {"delay": {"nominal": 0.0, "estimate": seconds}}
-        return {"effect": "actuator_delay", "target": target, "parameters": parameters}
+        return estimate("actuator_delay", target, seconds)
 
-    assert sensor_makes_up(delay(0.04), [delay(0.03)]) and not sensor_makes_up(delay(0.04), [delay(0.01)])
-    assert not sensor_makes_up(delay(0.04), [delay(0.04, "elsewhere")]) and not sensor_makes_up(delay(0.04), [])
+    assert is_sensor_error(delay(0.04), [delay(0.03)]) and not is_sensor_error(delay(0.04), [delay(0.01)])
+    assert not is_sensor_error(delay(0.04), [delay(0.04, "elsewhere")]) and not is_sensor_error(delay(0.04), [])
 
 
 def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
@@ -297,23 +301,25 @@ def test_no_error_is_told_of_a_position_that_no_state_tells():
 def test_velocities_are_compared_where_they_are_read_well():
     """Nearer to the truth than slopes, and not mostly what is likely in the source."""
     model = make_task("inverted_pendulum").domain("source").compile()
-    good, vague = (Calibration(*(np.full(2, x) for x in (0.1, 0.2, 0.5, s, 0.0, 0.0))) for s in (1.0, 0.5))
-    assert vague.vague and not vague.reads_velocities and not good.vague
-    assert vague.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
-    assert vague.noise(model, ()).start == pytest.approx([0.1, 0.1, 0.5, 0.5])
+    good, poor = (Calibration(*(np.full(2, x) for x in (0.1, 0.2, 0.5, s, 0.0, 0.0))) for s in (1.0, 0.5))
+    assert poor.velocities_unreliable and not poor.reads_velocities and not good.velocities_unreliable
+    assert poor.noise(model, ()).sensors == pytest.approx([0.1, 0.1])
+    assert poor.noise(model, ()).start == pytest.approx([0.1, 0.1, 0.5, 0.5])
     assert good.reads_velocities and good.noise(model, ()).sensors == pytest.approx([0.1, 0.1, 0.2, 0.2])
     assert good.noise(model, ["slider"]).systematic == (SensorGain("hinge", 1 + GAIN_STD),)
 
 
 def test_what_is_beyond_the_control_is_measured_where_it_is_most():
-    control = {"x": {"before": 1.0, "after": 0.9}, "angle": {"before": 2.0, "after": 2.0}}
-    target = {"x": {"before": 1.2, "after": 1.2}, "angle": {"before": 6.0, "after": 3.0}}
+    def errors(**channels):
+        return {name: ChannelError(*values, 1.0, "1") for name, values in channels.items()}
+
+    control, target = errors(x=(1.0, 0.9), angle=(2.0, 2.0)), errors(x=(1.2, 1.2), angle=(6.0, 3.0))
     assert beyond_the_control(target, control) == (3.0, 0.75)
     assert beyond_the_control(control, control)[1] == 0
 
 
 @pytest.mark.parametrize(
-    ("excess", "explained", "gone", "made_up_share", "expected"),
+    ("excess", "explained", "removed", "removed_in_control", "expected"),
     [
         (3.1, 0.6, 0.2, 0.0, True),  # much larger than in the control, and half of that goes
         (2.1, 0.6, 0.2, 0.0, False),
@@ -323,10 +329,10 @@ def test_what_is_beyond_the_control_is_measured_where_it_is_most():
         (1.2, 0.9, 0.15, 0.0, False),
     ],
 )
-def test_what_is_believed(excess, explained, gone, made_up_share, expected):
-    assert believable(excess, explained, gone, made_up_share) is expected
+def test_what_is_believed(excess, explained, removed, removed_in_control, expected):
+    assert is_believable(excess, explained, removed, removed_in_control) is expected
 
 
 def test_the_share_of_an_error_that_goes():
-    assert removed_error_share({"before": 4.0, "after": 3.0}) == 0.25
-    assert removed_error_share({"before": 0.0, "after": 0.0}) == 0.0
+    assert diagnosis(before=4.0, after=3.0).removed_share == 0.25
+    assert diagnosis(before=0.0, after=0.0).removed_share == 0.0

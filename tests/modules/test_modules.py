@@ -9,7 +9,7 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader
 
-from datamodules import OnPolicyDataModule, ReplayBuffer, ReplayDataModule
+from datamodules import Episode, OnPolicyDataModule, ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation, manual
 from idapt_pl.modules.image_pool import ImagePool
@@ -299,6 +299,19 @@ def test_whole_stacks_are_translated_frame_by_frame_as_single_frames_are():
     whole = module.translate_stacks(pixels).detach()
     frames = module.translate(pixels.flatten(0, 1)[:, None].numpy())
     assert np.abs(whole.flatten(0, 1).numpy().astype(int) - frames[:, 0]).max() <= 1
+
+
+@pytest.mark.parametrize("translate", ["frame", "stack"])
+def test_an_episode_is_translated_with_what_g_sees_of_its_own_frames(translate):
+    """The newest frame of each stack, the first one repeated at the beginning; nothing else of the episode changes."""
+    module = visual(state_dim=0, translate=translate)
+    pixels, state = (x.numpy() for x in dots(4, (200, 30, 70), (10, 20, 30)))
+    episode = Episode(np.ones((3, 1), np.float32), {"pixels": pixels[:, -1], "state": state})
+    shown = module.translate_episode(episode)
+    lags = np.arange(1 - module.frames, 1)
+    stacks = pixels[np.maximum(np.arange(4)[:, None] + lags, 0), -1]
+    np.testing.assert_array_equal(shown.observations["pixels"], module.translate(stacks)[:, -1])
+    assert shown.observations["state"] is state and shown.actions is episode.actions
 
 
 def test_image_pool_returns_past_images_about_half_of_the_time():

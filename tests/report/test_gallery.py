@@ -5,7 +5,8 @@ import re
 import numpy as np
 
 from cli.main import main
-from idapt_pl.report.gallery import LearnedLook, domain_comparison, domain_pictures, group_rows
+from idapt_pl.report.domain_comparison import compare_domains, group_differences
+from idapt_pl.report.gallery import LearnedTranslation, domain_pictures
 from idapt_pl.tasks import make_task
 
 
@@ -18,14 +19,14 @@ def test_pictures_show_the_same_states_in_every_domain():
 
 def test_what_a_run_learned_is_shown_beside_its_domain():
     """A G that turns colours round gets the source, at its own size, in the states of the other rows."""
-    negative = LearnedLook("inverted_pendulum", "hard", 24, 3, lambda pixels: 255 - pixels)
+    negative = LearnedTranslation("inverted_pendulum", "hard", 24, 3, lambda pixels: 255 - pixels)
     shown = domain_pictures(make_task("inverted_pendulum"), 24, (0, 5), [negative])
     assert list(shown) == ["source", "easy", "hard", "G to hard"]
     assert all((255 - g == s).all() for g, s in zip(shown["G to hard"], shown["source"], strict=True))
 
 
 def test_comparison_reads_table_1_from_the_models():
-    rows = {(field, of): values for field, of, _, values in domain_comparison(make_task("walker2d"))}
+    rows = {(d.field, d.element): d.values for d in compare_domains(make_task("walker2d"))}
     assert {k: np.round(v, 6) for k, v in rows["body_mass", "torso"].items()} == {
         "source": 3.534,
         "easy": 5.4,
@@ -34,9 +35,9 @@ def test_comparison_reads_table_1_from_the_models():
 
 
 def test_what_mjcf_has_no_words_for_is_in_the_table_too():
-    rows = group_rows(domain_comparison(make_task("fetch_reach")))
-    turned = next(row for row in rows if row[0] == "actuator_rotation")
-    assert turned[1:3] == ("x y", False) and "0.7854" in turned[3]["hard"]
+    rows = group_differences(compare_domains(make_task("fetch_reach")))
+    turned = next(d for d in rows if d.field == "actuator_rotation")
+    assert (turned.element, turned.visual) == ("x y", False) and "0.7854" in turned.values["hard"]
 
 
 def test_command_writes_one_page_that_needs_no_other_file(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -11,6 +12,19 @@ from conftest import TINY, numbered_episodes
 
 from cli.main import main
 from datamodules import write_trajectories
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.joints import JointArmature
+from idapt_pl.image_diagnosis.result import (
+    ChannelError,
+    EffectEstimate,
+    EnsembleBand,
+    ForecastChannel,
+    ForecastEvidence,
+    ForecastExample,
+    ImageDiagnosis,
+    ParameterEstimate,
+    WindowEvidence,
+)
 from idapt_pl.report.run_pictures import spread_stacks, translated_examples
 from idapt_pl.report.run_record import read_run_record
 from idapt_pl.worlds import Worlds
@@ -116,33 +130,64 @@ def test_damaged_files_are_named_and_the_rest_is_told(copied):
     (copied / "step_01/evaluation.json").write_text('{"target": ')
     (copied / "step_00/target.h5").write_bytes(b"not an HDF5 file")
     (copied / "step_02/visual/final.ckpt").write_bytes(b"short")
+    (copied / "step_02/effects.json").write_text('{"effects": []}')
     text = report(copied).text
-    assert "cannot be read and are left out: step_01/evaluation.json" in text
+    assert "cannot be read and are left out: step_01/evaluation.json, step_02/effects.json." in text
     assert len(re.findall("No pictures: ", text)) == 2 and "target.h5: not a readable HDF5 file" in text
+
+
+def estimate(effect, target, name, nominal, value, ci95, unit):
+    """An effect with one parameter."""
+    parameters = {name: ParameterEstimate(nominal, value, ci95, unit)}
+    return EffectEstimate(effect, target, parameters, {}, 1.0, 2.0, ())
+
+
+MASS = estimate("body_mass", "pole", "mass", 4.9, 187.3, (180.1, 194.2), "kg")
+HINGE = ChannelError(before=0.456, after=0.0135, noise=0.0123, unit="rad")
+BY_WINDOWS = ImageDiagnosis(
+    effects=(BodyMass("pole", 187.3),),
+    rejected=(JointArmature("hinge", 3.0),),
+    estimates=(MASS, estimate("joint_armature", "hinge", "armature", 0.0, 3.0, (2.0, 4.0), "kg·m² or kg")),
+    excess=25.0,
+    explained=0.9,
+    removed={"target": 0.94, "control": 0.0},
+    excluded_frames={"target": 0.0125, "control": 0.0},
+    sensor_errors={"position": [None, 0.0123]},
+    before=17.5,
+    after=1.04,
+    target={"hinge position": HINGE},
+    control={"hinge position": replace(HINGE, before=0.0182)},
+    evidence=WindowEvidence(
+        found_in_control=(),
+        negligible=(estimate("actuator_delay", "slide", "delay", 0.0, 0.02, (0.01, 0.03), "s"),),
+        unknown_gain=0.05,
+    ),
+)
+BAND = EnsembleBand(mean=(0.1, 0.2), low=(0.0, 0.1), high=(0.2, 0.3))
+EXAMPLE = ForecastExample(0.04, {"hinge": ForecastChannel("rad", (0.1, 0.3), BAND, replace(BAND, mean=(0.1, 0.3)))})
+BY_FORECASTS = replace(BY_WINDOWS, removed={"target": 0.94}, evidence=ForecastEvidence(0.1, EXAMPLE))
+
+
+@pytest.mark.parametrize("diagnosis", [BY_WINDOWS, BY_FORECASTS])
+def test_effects_json_holds_all_of_a_diagnosis(diagnosis):
+    entry = json.loads(json.dumps(diagnosis.to_dict()))
+    assert ImageDiagnosis.from_dict({"step": 1, "wall_s": 2.0} | entry) == diagnosis
+    assert ("forecasts" in entry, "example" in entry, "unknown_gain" in entry) == (
+        diagnosis.by_forecasts, diagnosis.by_forecasts, not diagnosis.by_forecasts,
+    )  # fmt: skip
+
+
+def test_effects_json_of_earlier_versions_is_read_too():
+    entry = {k: v for k, v in BY_WINDOWS.to_dict().items() if k not in ("left_out", "unread", "unknown_gain")}
+    assert ImageDiagnosis.from_dict(entry).negligible == ()
 
 
 def test_rollback_effects_and_the_oracle_are_told(copied):
     low, high = 0.5, 0.7
     decision = {"before": 0.1, "after": 0.7, "worse_by": 0.6, "ci95": [low, high], "rolled_back": True,
                 "held_out_steps": 194}  # fmt: skip
-    parameters = {"mass": {"nominal": 4.9, "estimate": 187.3, "ci95": [180.1, 194.2], "unit": "kg"}}
-    armature = {"armature": {"nominal": 0.0, "estimate": 3.0, "ci95": [2.0, 4.0], "unit": "kg·m² or kg"}}
-    added = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 187.3}}
-    effects = {
-        "effects": [added],
-        "estimates": [
-            added | {"parameters": parameters},
-            {"effect": "joint_armature", "target": "hinge", "parameters": armature},
-        ],
-    }
-    delay = {"delay": {"nominal": 0.0, "estimate": 0.02, "ci95": [0.01, 0.03], "unit": "s"}}
-    effects["left_out"] = [{"effect": "actuator_delay", "target": "slide", "parameters": delay}]
-    hinge = {"noise": 0.0123, "before": 0.456, "after": 0.0135, "unit": "rad"}
-    effects |= {"before": 17.5, "after": 1.04, "excess": 25.0, "target": {"hinge position": hinge}}
-    effects["control"] = {"hinge position": hinge | {"before": 0.0182}}
-    effects |= {"unread": {"target": 0.0125, "control": 0.0}, "unknown_gain": 0.05}
     (copied / "step_01/selection.json").write_text(json.dumps(decision))
-    (copied / "step_02/effects.json").write_text(json.dumps(effects))
+    (copied / "step_02/effects.json").write_text(json.dumps(BY_WINDOWS.to_dict()))
     (copied / "step_00/oracle_evaluation.json").write_text(json.dumps({"mean": 987.0, "std": 1.0}))
     text = report(copied).text
     assert "F is rolled back: it is clearly worse" in text and "+0.5 to +0.7" in text
@@ -154,11 +199,12 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     assert "left out: 1.25 % of the target's, 0 % of the control's" in text.replace("&#x27;", "'")
     assert "readings that are 5 % too large or small" in text
     assert "987 ± 1.0 oracle" in text
-    (copied / "step_02/effects.json").write_text(json.dumps(effects | {"forecasts": True, "left_out": []}))
+    (copied / "step_02/effects.json").write_text(json.dumps(BY_FORECASTS.to_dict()))
     text = report(copied).text
     assert "energy score of what is read of the target is 17.5, and 1.04 with the effects added" in text
     assert "(less is better; 0.7 where the source forecasts itself)" in text
     assert "not believed: forecasts are not surely better" in text and "the source forecasts these" in text
+    assert "10 % by which G and the sensor may mislead an estimate" in text
 
 
 def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):

@@ -1,0 +1,62 @@
+"""What happened in a run, in words and numbers."""
+
+from __future__ import annotations
+
+from idapt_pl.effects.wording import format_number
+from idapt_pl.report.run_record import RunRecord, StepRecord
+from idapt_pl.stages.rollback import RollbackDecision
+
+
+def format_score(value: float, metric: str) -> str:
+    """A return, or a share of successes."""
+    return f"{100 * value:.0f} %" if metric == "success" else f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}"
+
+
+def format_result(result: dict, metric: str) -> str:
+    """Mean and spread; the spread of successes says nothing that their share does not."""
+    mean = format_score(result["mean"], metric)
+    return mean if metric == "success" else f"{mean} ± {format_score(result['std'], metric)}"
+
+
+def step_name(step: StepRecord) -> str:
+    """What a step's policy is called."""
+    if step.k:
+        return f"Grounding step {step.k}"
+    return f"Visual grounding{', source repaired' if step.source_repaired else ' only'}"
+
+
+def format_distance(residual: dict, key: str) -> str:
+    """An energy distance and, where it was measured on several rollouts, their standard deviation."""
+    std = residual.get(f"{key}_std")
+    return format_number(residual[key]) + (f" ± {format_number(std)}" if std is not None else "")
+
+
+def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
+    """What happened in a step, in sentences."""
+    sentences = []
+    if not step.evaluation:
+        stages = ", ".join(step.seconds) or "nothing"
+        return [f"This step did not end: there is no evaluation. Finished in it: {stages}."]
+    before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
+    now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
+    now += f", {format_score(before['mean'], metric)} before" if before else ""
+    sentences.append(f"{now}; in the grounded source: {format_score(step.evaluation['grounded']['mean'], metric)}.")
+    if residual := step.evaluation.get("residual"):
+        which = "the F that was gone back to" if step.selection.get("rolled_back") else "F"
+        sentences.append(
+            f"With {which}, the grounded source moves {format_distance(residual, 'after')} away from the target, "
+            f"without it {format_distance(residual, 'before')}; two halves of the target's own data are "
+            f"{format_number(residual['noise_floor'])} apart (energy distance of transitions, ± the standard "
+            "deviation over rollouts)."
+        )
+    psnr = step.evaluation["translation"]["psnr"]
+    sentences[0] += f" What G draws is {format_number(psnr)} dB (PSNR) from the target's image of the same state."
+    if step.training.get("kept") == "before":
+        before, after = (format_score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))
+        sentences.append(
+            f"Training made the policy worse in the grounded source ({metric} {before} before, {after} after): it was "
+            "put back."
+        )
+    if step.selection:
+        sentences.append(RollbackDecision.from_dict(step.selection).sentence + ".")
+    return sentences
