@@ -11,20 +11,18 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 Transitions = dict[str, np.ndarray]
-
-
 TRANSITION = ("observation", "state", "actions", "rewards", "terminations", "next_observation", "next_state")
 
 
-class Act(Protocol):
-    """Acts in an environment."""
+class TransitionSource(Protocol):
+    """Acts in n simulations."""
 
     @property
     def recent_return(self) -> float:
-        """Mean return of the last episodes."""
+        """Mean return of the newest episodes."""
 
     def __call__(self) -> Transitions:
-        """Advance by one step; n transitions."""
+        """Advance by one step; n transitions, an array of n rows for each name."""
 
 
 class ReplayBuffer:
@@ -98,7 +96,7 @@ class ReplayDataModule(L.LightningDataModule):
 
     def __init__(
         self,
-        act: Act,
+        act: TransitionSource,
         buffer: ReplayBuffer,
         batch_size: int,
         updates_per_batch: int,
