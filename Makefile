@@ -26,11 +26,13 @@ test: setup ## the tests, all but the slow ones
 test-slow: setup ## the tests that train for minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-lint: .venv/.installed ## ruff
+lint: .venv/.installed ## ruff and mypy, as tests/test_lint.py runs them
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 clean: ## remove .venv and caches; runs stay
-	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
+	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .mypy_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 .venv/.installed: pyproject.toml

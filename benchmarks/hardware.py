@@ -3,8 +3,9 @@
     python benchmarks/hardware.py FOLDER [--rigs double_pendulum xl330 xl330_torque_off so101] [--report DIR]
 
 FOLDER holds double_pendulum/, xl330_pendulum/ and so101_arm/, each with nominal.xml and measured.h5 (published
-recordings; docs/hardware.md names the sources). They are not part of this repository. Writes results/hardware.csv, one
-row a rig and channel: root-mean-square prediction error on held-out episodes before and after, and what was found.
+recordings; docs/reference/hardware.md names the sources). They are not part of this repository. Writes
+results/hardware.csv, one row a rig and channel: root-mean-square prediction error on held-out episodes before and
+after, and what was found.
 """
 
 from __future__ import annotations

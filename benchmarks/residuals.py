@@ -2,9 +2,9 @@ r"""Does F bring the source nearer to how the target moves? By images and action
 
     python benchmarks/residuals.py runs/benchmark_walker_quick_IDAPT_0 runs/benchmark_cheetah_quick_no_effects_0
 
-What evaluation.json says of step 1 (:mod:`idapt_pl.rl.transition_distance`), with more rollouts: energy distances without and with F,
-the same draws with both, and their difference. Each rollout is as long as the target's recording. A run's policy before
-step 1, its G and F of step 1 are used; no target is simulated. Writes results/residuals.csv.
+What evaluation.json says of step 1 (:mod:`idapt_pl.rl.transition_distance`), with more rollouts: energy distances
+without and with F, the same draws with both, and their difference. Each rollout is as long as the target's recording. A
+run's policy before step 1, its G and F of step 1 are used; no target is simulated. Writes results/residuals.csv.
 """
 
 from __future__ import annotations

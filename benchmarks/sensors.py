@@ -96,10 +96,10 @@ def run(task_name: str, target: str, sensor: str, seed: int, steps: int) -> dict
     domain, hidden = moving_like(task_name, target)
     episodes, dt = record(task_name, domain, steps, seed)
     started = time.perf_counter()
-    recordings, unmeasured = sensed(task, episodes, sensor, dt, seed), task.unseen if sensor == "states" else ()
     found = diagnose(
-        task.domain("source").spec(), recordings, candidates=DEFAULT_CANDIDATES, seed=seed,
-        settings=SearchSettings(max_effects=2), unmeasured=unmeasured,
+        task.domain("source").spec(), sensed(task, episodes, sensor, dt, seed),
+        candidates=DEFAULT_CANDIDATES, seed=seed, settings=SearchSettings(max_effects=2),
+        unmeasured=task.unseen if sensor == "states" else (),
     ).report  # fmt: skip
     error = found["error"]
     truth = {(e.name, e.target) for e in hidden}

@@ -18,7 +18,13 @@ class HelpWithExamples(Help, argparse.RawDescriptionHelpFormatter):
 
 
 def parser(command: str, description: str, examples: str = "") -> argparse.ArgumentParser:
-    """A parser for ``idapt <command>`` that shows defaults."""
+    """A parser for ``idapt <command>`` that shows defaults.
+
+    Args:
+        command: its name.
+        description: what it does.
+        examples: shown at the end; with them, lines stay as they are written.
+    """
     return argparse.ArgumentParser(
         prog=f"idapt {command}",
         description=description,

@@ -14,14 +14,13 @@ from pathlib import Path
 
 import lightning as L
 import numpy as np
-from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
 from cli.arguments import parser, show_bar
 from cli.provenance import git_commit
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
-from idapt_pl.envs import BlindTarget, VectorImageEnv
+from idapt_pl.envs import BlindTarget, ImageEnv, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.collect import collect
@@ -35,7 +34,11 @@ POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+
 
 
 def main(args: list[str]) -> int:
-    """Run ``idapt collect``."""
+    """Run ``idapt collect``.
+
+    Raises:
+        ValueError: if there are fewer steps than policies.
+    """
     p = parser("collect", __doc__)
     p.add_argument("--task", choices=TASKS, required=True)
     p.add_argument("--domain", choices=("source", "easy", "hard"), required=True)
@@ -51,13 +54,15 @@ def main(args: list[str]) -> int:
         raise ValueError(f"--steps must be at least {len(kinds)}, got {o.steps}")
     task = make_task(o.task)
     checkpoints = {kind: expert(task, kind, o.seed, o.experts) for kind in kinds if kind != "random"}
-    env = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
+    recorded = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
+    env: ImageEnv = recorded
     if o.domain != "source":  # a target shows images and actions, whoever records it
-        env = BlindTarget(env, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
+        env = BlindTarget(recorded, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
     parts: list[Trajectories] = []
     with closing(env), tqdm(total=o.steps, unit="step", disable=not show_bar()) as bar:
         for i, kind in enumerate(kinds):
-            policy = acting_on_states(checkpoints[kind][0], env) if kind in checkpoints else random_policy(env, o.seed)
+            expert_policy = checkpoints.get(kind)
+            policy = acting_on_states(expert_policy[0], recorded) if expert_policy else random_policy(env, o.seed)
             share = o.steps * (i + 1) // len(kinds) - o.steps * i // len(kinds)
             L.seed_everything(o.seed, verbose=False)  # experts draw their actions
             parts.append(collect(env, counted(policy, bar, env), share, o.seed + i, ""))
@@ -72,18 +77,25 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def counted(policy: Policy, bar: tqdm, env: VectorEnv) -> Policy:
+def counted(policy: Policy, bar: tqdm, env: ImageEnv) -> Policy:
     """The policy, moving the bar with every action."""
 
-    def act(pixels):
+    def act(pixels: np.ndarray) -> np.ndarray:
         bar.update(env.num_envs)
         return policy(pixels)
 
     return act
 
 
-def expert(task: Task, kind: str, seed: int, cache: Path):
-    """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256."""
+def expert(task: Task, kind: str, seed: int, cache: Path) -> tuple[StateSAC, str]:
+    """A policy on states, trained in the source or loaded, and its checkpoint's SHA-256.
+
+    Args:
+        task: what it is an expert of.
+        kind: ``"expert"``, or ``"backwards"`` for one that is paid for going the other way.
+        seed: of its training.
+        cache: folder where experts are kept.
+    """
     trained = task.backwards() if kind == "backwards" else task
     stages = Stages(cache / f"{task.name}_{kind}_{seed}", seed, cpu_trainer)
     policy = train_expert(trained, task.domain("source"), task.expert, stages, "policy")
@@ -91,14 +103,13 @@ def expert(task: Task, kind: str, seed: int, cache: Path):
     return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
 
 
-def acting_on_states(policy: StateSAC, env: VectorEnv) -> Policy:
+def acting_on_states(policy: StateSAC, env: VectorImageEnv) -> Policy:
     """A policy on states as one that is asked with images: it reads the simulations behind them.
 
     In a target that is the true state, which nothing that learns may see; the file that is written does not hold it.
     """
-    inner = env.unwrapped
 
     def act(pixels: np.ndarray) -> np.ndarray:
-        return policy.act(np.asarray([inner.task.state(inner.model, d) for d in inner.data], np.float32))
+        return policy.act(np.asarray([env.task.state(env.model, data) for data in env.data], np.float32))
 
     return act

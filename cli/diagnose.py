@@ -8,7 +8,7 @@ there), report.json, patched.xml (the repaired model), effects.yaml and TensorBo
 With --run, recordings of images are read by the estimator of a run of idapt fit. Where that cannot
 tell how fast things move, no windows are replayed: the recordings' commands are played from resets,
 and effects are judged by how well that forecasts what is read (minutes, not seconds).
-See docs/diagnose.md and docs/discovery.md.
+See docs/guide/diagnose.md and docs/guide/effects_from_images.md.
 """
 
 from __future__ import annotations

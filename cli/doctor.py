@@ -34,7 +34,7 @@ COLORS = {"ok": "green", "warn": "yellow", "fail": "red"}
 RENDER = """
 import time
 import mujoco
-from idapt_pl.domains.rendering import FrameRenderer
+from idapt_pl.rendering.classic import FrameRenderer
 from idapt_pl.tasks import make_task
 
 model = make_task("inverted_pendulum").domain("source").compile()
@@ -98,7 +98,7 @@ def check_python() -> Check:
 
 def check_packages() -> Iterator[Check]:
     """Each dependency against the range it is known to work in."""
-    for requirement in map(Requirement, metadata.requires("idapt")):
+    for requirement in map(Requirement, metadata.requires("idapt") or ()):
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
             continue
         name, wanted = requirement.name, requirement.specifier

@@ -1,4 +1,4 @@
-"""``idapt import``: turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file; see docs/import.md."""
+"""``idapt import``: recordings (CSV, NPZ, Minari, LeRobot, MCAP) as a trajectory file; see docs/guide/import.md."""
 
 from __future__ import annotations
 
@@ -33,7 +33,11 @@ JOINT_TYPES = ("free", "ball", "slide", "hinge")
 
 
 def main(args: list[str]) -> int:
-    """Run ``idapt import``."""
+    """Run ``idapt import``.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
+    """
     p = parser("import", __doc__)
     p.add_argument("recordings", nargs="+", metavar="RECORDING", help="file, dataset folder or Minari dataset id")
     p.add_argument("--map", type=Path, required=True, help="YAML: which column is which joint, actuator and time")
@@ -63,7 +67,17 @@ def main(args: list[str]) -> int:
 def import_recordings(
     paths: list[str], mapping: Mapping, layout: ModelLayout | None = None, format: str | None = None
 ) -> Imported:
-    """Read, convert and check recordings; ``mapping`` is already in the model's order."""
+    """Read, convert and check recordings.
+
+    Args:
+        paths: files, folders or Minari ids.
+        mapping: which column is what, already in the model's order.
+        layout: of the model that they are checked against, or None.
+        format: of the recordings; None: told by their names.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
+    """
     recorded = []
     for path in tqdm(paths, unit="file", leave=False, disable=len(paths) < 2 or not show_bar()):
         recorded += read_recording(path, mapping, format)
@@ -80,6 +94,9 @@ def read_layout(path: Path) -> ModelLayout:
     """Names, types and ranges of a model's joints and actuators.
 
     What has no name goes by its number, ``joint0`` and ``actuator0``; an actuator rather by its joint's name.
+
+    Raises:
+        RecordingError: if the model cannot be read.
     """
     from idapt_pl.diagnosis.model import read_model
 

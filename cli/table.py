@@ -9,7 +9,13 @@ from rich.table import Table
 
 
 def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
-    """Print the references and every grounding step."""
+    """Print the references and every grounding step.
+
+    Args:
+        summary: of the run, as in its ``summary.json``.
+        run_dir: its folder.
+        report: its page.
+    """
     table = Table(title=f"{summary['task']}: source -> {summary['target']} (seed {summary['seed']})")
     table.add_column("policy")
     table.add_column(f"target {summary['metric']}, mean of {summary['episodes']} episodes", justify="right")

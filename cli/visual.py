@@ -1,4 +1,4 @@
-"""``idapt visual``: the visual transformation on its own, between any two sets of images; see docs/visual.md."""
+"""``idapt visual``: the visual transformation on its own, between any two sets of images; see docs/guide/images.md."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class VisualCLI(LightningCLI):
         self.options.ckpt_path = None  # loaded here, not by the Trainer
         return VisualTransformation.from_checkpoint(path)
 
-    def instantiate_trainer(self, **kwargs) -> L.Trainer:
+    def instantiate_trainer(self, **kwargs: Any) -> L.Trainer:
         """The Trainer of the config, logging to the run folder and keeping its last checkpoint."""
         config = self.options.trainer
         if config.logger in (None, True):
@@ -173,7 +173,13 @@ class VisualCLI(LightningCLI):
 
 
 def strategy(accelerator: str, devices: str | int | list[int], nodes: int) -> str:
-    """How to train on so many devices: G and D are trained in turn, and DDP must be told that some nets rest."""
+    """How to train on so many devices: G and D are trained in turn, and DDP must be told that some nets rest.
+
+    Args:
+        accelerator: as the Trainer takes it.
+        devices: number, list or ``"auto"``, as the Trainer takes it.
+        nodes: machines.
+    """
     if devices == "auto":
         count = torch.cuda.device_count() if accelerator in ("auto", "gpu", "cuda") else 1
     else:

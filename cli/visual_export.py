@@ -13,7 +13,11 @@ TOLERANCE = 2
 
 
 def main(args: list[str]) -> int:
-    """Run ``idapt visual export``."""
+    """Run ``idapt visual export``.
+
+    Raises:
+        RuntimeError: if the file would not give what the module gives; it is not kept.
+    """
     p = parser("visual export", __doc__)
     p.add_argument("--run_dir", type=Path, default=Path("runs/visual"), help="run folder of `idapt visual fit`")
     p.add_argument("--ckpt_path", type=Path, help="checkpoint; default last.ckpt of the run folder")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import lightning as L
@@ -12,9 +13,10 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 from torchvision.utils import make_grid
 
-from datamodules.images import Reading, TrajectoryImages
+from datamodules.images import ImageDomains, Reading, TrajectoryImages
 from idapt_pl.evaluation.image_quality import (
     Backbone,
+    FeatureProbe,
     PairedScores,
     StateError,
     fit_feature_probe,
@@ -54,7 +56,8 @@ class TranslationQuality(L.Callback):
     ) -> None:
         self.probe_batches, self.backbone, self.target_states = probe_batches, backbone, target_states
         self.state_batches, self.video_frames = state_batches, video_frames
-        self.probe = self.state_probe = None
+        self.probe: Backbone | FeatureProbe | None = None
+        self.state_probe: torch.nn.Module | None = None
 
     def on_validation_epoch_start(self, trainer: L.Trainer, pl_module: VisualTransformation) -> None:
         """Make what measures; probes are trained the first time."""
@@ -66,7 +69,7 @@ class TranslationQuality(L.Callback):
                 known = [data.load("source"), data.load("target")]
                 self.probe = fit_feature_probe(known, self.probe_batches, device)
         if self.target_states and self.state_probe is None:
-            self.state_probe = self.fit_state_probe(data, device)
+            self.state_probe = self.fit_state_probe(self.target_states, data, device)
         self.features: dict[str, list[Tensor]] = {"source": [], "translated": [], "target": []}
         self.pairs = PairedScores().to(device) if data.paired else None
         predictors = {"state_error": pl_module.P_T, "state_error_probe": self.state_probe}
@@ -75,13 +78,22 @@ class TranslationQuality(L.Callback):
             self.states["state_error_probe_floor"] = StateError(self.state_probe).to(device)
         self.shown: list[np.ndarray] = []
 
-    def fit_state_probe(self, data: L.LightningDataModule, device: torch.device) -> torch.nn.Module:
-        """P of the target, from labelled target images."""
+    def fit_state_probe(self, states: str, data: ImageDomains, device: torch.device) -> torch.nn.Module:
+        """P of the target, from the labelled target images of a trajectory file.
+
+        Args:
+            states: the file.
+            data: whose images the probe is shown; its images have their size.
+            device: where it is trained.
+
+        Raises:
+            ValueError: if the file has no states.
+        """
         like = data.load("test_source")
         size = (like.fit.height, like.fit.width)
-        labelled = TrajectoryImages([self.target_states], data.frame_stack, Reading(size, like.fit.how))
+        labelled = TrajectoryImages([states], data.frame_stack, Reading(size, like.fit.how))
         if labelled.labels is None:
-            raise ValueError(f"{self.target_states}: has no observations/state; the probe is trained on states")
+            raise ValueError(f"{states}: has no observations/state; the probe is trained on states")
         with torch.random.fork_rng(), torch.enable_grad(), torch.inference_mode(False):
             torch.manual_seed(0)
             vision = Vision(strides=(2, 2, 1, 1), pool="keypoints")
@@ -99,8 +111,9 @@ class TranslationQuality(L.Callback):
     ) -> None:
         """Add a batch."""
         source, target = batch.get("source"), batch.get("target")
-        looks = {"source": source and source["pixels"], "translated": outputs.get("source")}
+        looks: dict[str, Any] = {"source": source and source["pixels"], "translated": outputs.get("source")}
         looks["target"] = target and target["pixels"]
+        assert self.probe is not None  # made when the epoch began
         for name, pixels in looks.items():
             if pixels is not None:
                 self.features[name].append(self.probe(to_float(pixels[:, -1])))
@@ -129,6 +142,7 @@ class TranslationQuality(L.Callback):
 
     def distances(self, trainer: L.Trainer, pl_module: VisualTransformation) -> dict[str, float]:
         """KID of translated images, of source images, and between two sets of target images."""
+        assert self.probe is not None  # made when the epoch began
         known = trainer.datamodule.load("target")
         some = torch.linspace(0, len(known) - 1, min(len(known), 500)).long().tolist()
         parts = [some[i : i + 32] for i in range(0, len(some), 32)]

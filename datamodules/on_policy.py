@@ -20,7 +20,7 @@ Encode = Callable[[np.ndarray], torch.Tensor]
 
 
 def encode_all(data: FrameStacks, encode: Encode, chunk: int = 256) -> torch.Tensor:
-    """Features of every observation, (n, d)."""
+    """Features of every observation, (n, d), on the CPU; ``chunk`` observations are encoded at a time."""
     every = np.arange(len(data))
     return torch.cat([encode(data.stacks(part)).cpu() for part in np.array_split(every, len(every) // chunk + 1)])
 
@@ -30,7 +30,17 @@ def target_transitions(
 ) -> Rollout:
     """Transitions of several trajectory files; each file weighs the same.
 
-    With ``hold_out`` the pieces of the last file that are held out are left out.
+    Args:
+        target: trajectory files, the newest last.
+        encode: f.
+        frame_stack: K.
+        hold_out: leave out the pieces of the last file that are held out (:mod:`datamodules.pieces`).
+
+    Returns:
+        As :func:`encode_transitions`, of all files; those of shorter files are repeated.
+
+    Raises:
+        TrajectoryFileError: naming a file that cannot be used.
     """
     stacks = [FrameStacks(read_all([p]), frame_stack) for p in target]
     files = [encode_transitions(data, encode) for data in stacks]

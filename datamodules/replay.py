@@ -50,7 +50,11 @@ class ReplayBuffer:
         self.size = min(self.size + n, self.capacity)
 
     def sample(self, *shape: int, names: Sequence[str] | None = None) -> dict[str, torch.Tensor]:
-        """Uniform with replacement; every tensor (or those of ``names``) has leading dimensions ``shape``."""
+        """Uniform with replacement; every tensor (or those of ``names``) has leading dimensions ``shape``.
+
+        Raises:
+            ValueError: if nothing was added yet.
+        """
         if self.size == 0:
             raise ValueError("the replay buffer is empty: act in the environment before sampling")
         rows = self._rng.integers(self.size, size=shape)

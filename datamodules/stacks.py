@@ -23,7 +23,7 @@ class FrameStacks(Dataset):
 
     def __init__(self, trajectories: Trajectories, frame_stack: int, labels: str | None = None) -> None:
         self.frames = np.concatenate([e.observations["pixels"] for e in trajectories])
-        self.labels = None
+        self.labels: np.ndarray | None = None
         if labels is not None:
             self.labels = np.concatenate([e.observations[labels] for e in trajectories]).astype(np.float32)
         lengths = np.array([len(e) + 1 for e in trajectories])

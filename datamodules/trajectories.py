@@ -1,4 +1,4 @@
-"""Trajectories and the HDF5 file they live in (Minari's episode layout; see docs/trajectory_file.md)."""
+"""Trajectories and the HDF5 file they live in (Minari's episode layout; see docs/reference/files.md)."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ class Episode:
         rewards, terminations, truncations: (T,); the source only, None in the target.
         timestamps: s, (T+1,); None where sampling is regular.
         infos: name to array, other measured channels.
+
+    Raises:
+        ValueError: naming the array whose shape, type or values are not as above.
     """
 
     actions: np.ndarray
@@ -101,7 +104,11 @@ def content_hash(episodes: Iterable[Episode]) -> str:
 
 
 def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
-    """Write a trajectory file: to a temporary name, closed, then renamed. A full disk leaves nothing behind."""
+    """Write a trajectory file: to a temporary name, closed, then renamed. A full disk leaves nothing behind.
+
+    Raises:
+        OSError: if it could not be written.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -136,7 +143,11 @@ def read_trajectories(path: Path | str) -> Trajectories:
 
 
 def open_trajectory_file(path: Path | str) -> h5py.File:
-    """Open for reading, with a plain error if it is missing, truncated or foreign."""
+    """Open for reading.
+
+    Raises:
+        TrajectoryFileError: if it is missing, truncated or no trajectory file.
+    """
     path = Path(path)
     if not path.is_file():
         raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file (HDF5)")
@@ -147,7 +158,7 @@ def open_trajectory_file(path: Path | str) -> h5py.File:
     if missing := [k for k in ("total_episodes", "total_steps", "dt") if k not in f.attrs]:
         f.close()
         raise TrajectoryFileError(
-            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/trajectory_file.md"
+            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/reference/files.md"
         )
     return f
 

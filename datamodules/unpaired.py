@@ -17,9 +17,17 @@ from datamodules.trajectories import Trajectories, TrajectoryFileError, read_tra
 
 
 def read_all(paths: Sequence[Path | str], also: str | None = None) -> Trajectories:
-    """The episodes of several trajectory files, in order; they must have images of one size, and ``also``."""
+    """The episodes of several trajectory files, in order.
+
+    Args:
+        paths: of the files, whose images are of one size.
+        also: name of an observation that all must have beside images, or None.
+
+    Raises:
+        TrajectoryFileError: naming the file and what is missing, or the files whose images differ in size.
+    """
     parts = [read_trajectories(p) for p in paths]
-    sizes = {}
+    sizes: dict[tuple[int, ...], Path | str] = {}
     for path, part in zip(paths, parts, strict=True):
         for i, episode in enumerate(part):
             for name in ("pixels", also):
@@ -43,6 +51,13 @@ class LabelledImages(L.LightningDataModule):
     """Source frame stacks with their states, to fit the source state predictor P^S.
 
     Batches: ``pixels`` uint8 (B, K, H, W, 3), ``state`` float32 (B, state_dim).
+
+    Args:
+        source: trajectory files with states.
+        frame_stack: K.
+        batch_size: B.
+        batches: length of an epoch.
+        seed: of the order.
     """
 
     def __init__(self, source: Sequence[Path | str], frame_stack: int, batch_size: int, batches: int, seed: int):
@@ -62,6 +77,15 @@ class UnpairedImages(L.LightningDataModule):
 
     Batches: ``{"source": {"pixels", "state"}, "target": {"pixels"}}``, and with ``resets`` as many first
     observations of episodes under ``"source_resets"`` and ``"target_resets"``, drawn on their own too.
+
+    Args:
+        source: trajectory files with states.
+        target: trajectory files with images of the same size.
+        frame_stack: K.
+        batch_size: stacks of each domain in a batch.
+        batches: length of an epoch.
+        seed: of the order.
+        resets: first observations of each domain in a batch, 0 for none.
     """
 
     def __init__(

@@ -46,6 +46,11 @@ def flicker(
 
     The temporal loss of Lai et al. 2018, eqs. 4 and 5, without the optical flow: pixels that move are left out (m ≈ 0)
     instead of followed.
+
+    Args:
+        translated: frames of G, -1..1, in order of time along the second dimension.
+        source: the frames they were made of, -1..1.
+        sharpness: α.
     """
     still = torch.exp(-sharpness * (source.diff(dim=1) / 2).square().sum(2, keepdim=True))
     return (still * translated.diff(dim=1) / 2).abs().mean()
@@ -59,7 +64,13 @@ def gail_reward(logits: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
 def gradient_penalty(
     discriminator: Callable[[Tensor], Tensor], agent: Float[Tensor, "n d"], target: Float[Tensor, "n d"]
 ) -> Float[Tensor, ""]:
-    """E[max(0, |∇D(x)| - 1)²] on lines between the two sets (one-sided; Petzka et al. 2018, eq. 5)."""
+    """E[max(0, |∇D(x)| - 1)²] on lines between the two sets (one-sided; Petzka et al. 2018, eq. 5).
+
+    Args:
+        discriminator: D, inputs (n, d) to logits.
+        agent: one end of each line.
+        target: the other.
+    """
     mix = torch.rand(len(agent), 1, device=agent.device)
     x = (mix * agent + (1 - mix) * target).requires_grad_(True)
     (gradient,) = torch.autograd.grad(discriminator(x).sum(), x, create_graph=True)
@@ -98,7 +109,14 @@ def generalized_advantage(
 def ppo_clip(
     log_prob: Float[Tensor, " n"], old_log_prob: Float[Tensor, " n"], advantage: Float[Tensor, " n"], clip: float
 ) -> Float[Tensor, ""]:
-    """-E[min(ρA, clip(ρ, 1-ε, 1+ε)A)] (Schulman et al. 2017, eq. 7)."""
+    """-E[min(ρA, clip(ρ, 1-ε, 1+ε)A)] (Schulman et al. 2017, eq. 7).
+
+    Args:
+        log_prob: of the actions under the policy that is trained; ρ is its ratio to
+        old_log_prob: of the actions under the policy that took them.
+        advantage: A.
+        clip: ε.
+    """
     ratio = (log_prob - old_log_prob).exp()
     return -torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
 
@@ -111,7 +129,16 @@ def sac_target(
     alpha: Float[Tensor, ""],
     gamma: float,
 ) -> Float[Tensor, " n"]:
-    """R + γ (1 - d)(min Q(s', a') - α log π(a'|o')), d = terminated, not truncated (Haarnoja et al. 2018, eq. 3)."""
+    """R + γ (1 - d)(min Q(s', a') - α log π(a'|o')), d = terminated, not truncated (Haarnoja et al. 2018, eq. 3).
+
+    Args:
+        rewards: R.
+        terminations: d.
+        next_q: min Q(s', a').
+        next_log_prob: log π(a'|o').
+        alpha: α, the temperature.
+        gamma: γ.
+    """
     return rewards + gamma * ~terminations * (next_q - alpha * next_log_prob)
 
 

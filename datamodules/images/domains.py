@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import lightning as L
 from lightning.pytorch.utilities import CombinedLoader
@@ -19,7 +19,7 @@ from datamodules.images.still import OnBad, Reading, StillImages, from_dataset, 
 from datamodules.stacks import whole_batch
 
 log = logging.getLogger(__name__)
-Where = str | list[str] | Dataset | None
+Where: TypeAlias = str | list[str] | Dataset | None
 Images = StillImages | TrajectoryImages
 ROOT = {"source": "trainA", "target": "trainB", "test_source": "testA", "test_target": "testB"}
 """Folders below ``root``, as CycleGAN's datasets name them."""
@@ -52,6 +52,9 @@ class ImageDomains(L.LightningDataModule):
         workers: processes that load data; 0 where all images are in memory.
         cache: keep all images decoded in memory; else they are decoded when needed (then choose ``workers``).
         on_bad: what to do about images that cannot be read: error, or skip them with a warning.
+
+    Raises:
+        ImageError: if a size is no multiple of 4, or ``root`` is no folder.
     """
 
     def __init__(
@@ -90,7 +93,11 @@ class ImageDomains(L.LightningDataModule):
             self.look_below(Path(root))
 
     def look_below(self, root: Path) -> None:
-        """Take the places that are not given from CycleGAN's folder names."""
+        """Take the places that are not given from CycleGAN's folder names.
+
+        Raises:
+            ImageError: if there is no such folder.
+        """
         if not root.is_dir():
             raise ImageError(f"{root}: no such folder; data.root must hold {', '.join(ROOT.values())}")
         for what, name in ROOT.items():
@@ -98,7 +105,7 @@ class ImageDomains(L.LightningDataModule):
                 self.places[what] = str(root / name)
 
     def load(self, what: str) -> Images:
-        """The images of a place, read once."""
+        """The images of a place (``"source"``, ``"test_target"``, ...), read once; see :meth:`read`."""
         if what not in self.images:
             self.images[what] = self.read(what)
         return self.images[what]
@@ -124,6 +131,11 @@ class ImageDomains(L.LightningDataModule):
         return from_folder(Path(paths[0]), self.reading, Path(labels) if labels else None)
 
     def setup(self, stage: str) -> None:
+        """Read what a stage of the Trainer needs.
+
+        Raises:
+            ImageError: naming the place and what is wrong with it, or the two that do not go together.
+        """
         wanted = {"fit": ["source", "target"], "predict": [self.predicted]}.get(stage, [])
         if stage in ("validate", "test") or (stage == "fit" and self.has_tests):
             wanted += ["test_source", "test_target"]
@@ -138,7 +150,11 @@ class ImageDomains(L.LightningDataModule):
             )
 
     def check_training_images(self) -> None:
-        """That source and target can be trained on together."""
+        """That source and target can be trained on together.
+
+        Raises:
+            ImageError: saying what differs, or how many images are too few.
+        """
         source, target = self.load("source"), self.load("target")
         for what, images in (("source", source), ("target", target)):
             needed = max(2, self.batch_size)
@@ -172,7 +188,7 @@ class ImageDomains(L.LightningDataModule):
 
     @property
     def dimensions(self) -> dict[str, Any]:
-        """What the module's constructor takes from the training images."""
+        """What the module's constructor takes of training images: ``state_dim``, ``image_size``, ``frame_stack``."""
         self.setup("fit")
         source = self.load("source")
         size = self.augment.crop or (source.fit.height, source.fit.width)

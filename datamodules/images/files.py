@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".tif", ".tiff", ".ppm", ".pgm"}
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".gif", ".webp", ".tif", ".tiff", ".ppm", ".pgm"}
 """Files below a folder that are taken for images, by how their names end."""
 
 
@@ -24,9 +24,9 @@ def list_images(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise ImageError(f"{folder}: no such folder; expected a folder with images")
     hidden = lambda path: any(part.startswith(".") for part in path.relative_to(folder).parts)  # noqa: E731
-    found = [p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file() and not hidden(p)]
+    found = [p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file() and not hidden(p)]
     if not found:
-        raise ImageError(f"{folder}: holds no images; expected files that end in {', '.join(sorted(SUFFIXES))}")
+        raise ImageError(f"{folder}: holds no images; expected files that end in {', '.join(sorted(IMAGE_SUFFIXES))}")
     return sorted(found)
 
 

@@ -14,7 +14,7 @@ STRIDE = 4
 
 
 def scaled(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """An image uint8 (H, W, 3) resampled, with antialiasing."""
+    """An image uint8 (H, W, 3) resampled to uint8 (height, width, 3), with antialiasing."""
     if image.shape[:2] == (height, width):
         return image
     return np.array(Image.fromarray(image).resize((width, height), Image.Resampling.BICUBIC))
@@ -37,7 +37,7 @@ class Fitted:
 
     @classmethod
     def nearest(cls, height: int, width: int, how: Fit) -> Fitted:
-        """The nearest size that the generator takes; not smaller with ``pad``, not larger with ``crop``."""
+        """The size nearest to an image's that G takes; not smaller with ``pad``, not larger with ``crop``."""
         offset = {"resize": STRIDE // 2, "pad": STRIDE - 1, "crop": 0}[how]
         height, width = (max(STRIDE, (side + offset) // STRIDE * STRIDE) for side in (height, width))
         return cls(height, width, how)
@@ -58,7 +58,7 @@ class Fitted:
         return image[top : top + self.height, left : left + self.width]
 
     def undo(self, image: np.ndarray, height: int, width: int) -> np.ndarray:
-        """A fitted image back at the size it came with; what was cropped away stays away."""
+        """A fitted image uint8 (H, W, 3) back at the height and width it came with; what was cropped stays away."""
         if self.how == "crop":
             return image
         if self.how == "pad":

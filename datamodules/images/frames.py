@@ -33,5 +33,5 @@ class TrajectoryImages(FrameStacks):
         if self.frames.shape[1:3] != (self.fit.height, self.fit.width):
             self.frames = np.stack([self.fit(frame) for frame in self.frames])
 
-    def __getitems__(self, index: list[int]) -> dict[str, torch.Tensor]:
+    def __getitems__(self, index: list[int] | np.ndarray) -> dict[str, torch.Tensor]:
         return super().__getitems__(index) | {"index": torch.tensor(index)}

@@ -14,7 +14,7 @@ from datamodules.images.files import ImageError
 
 
 def read_labels(path: Path, names: Sequence[str]) -> np.ndarray:
-    """States float32 (n, s) of the images called ``names`` (paths relative to their folder).
+    """States float32 (n, s) of the n images called ``names`` (paths relative to their folder).
 
     CSV: a column ``file``, all others numbers. NPZ and HDF5: an array ``state`` (n, s), and ``names`` (n,) with the
     files' names; without them the rows are those of the images in order of their names, and there are as many.
@@ -47,7 +47,11 @@ def read_labels(path: Path, names: Sequence[str]) -> np.ndarray:
 
 
 def from_csv(path: Path) -> tuple[list[str], np.ndarray]:
-    """Names and states of a CSV file."""
+    """Names and states of a CSV file: (n,) and (n, s).
+
+    Raises:
+        ImageError: naming the file, what was expected and what came.
+    """
     with open(path, newline="") as f:
         rows = list(csv.DictReader(f))
     if not rows or "file" not in rows[0]:
@@ -62,7 +66,11 @@ def from_csv(path: Path) -> tuple[list[str], np.ndarray]:
 
 
 def from_npz(path: Path) -> tuple[list[str] | None, np.ndarray]:
-    """Names, if there are any, and states of a NumPy archive."""
+    """Names, if there are any, and states of a NumPy archive: (n,) and (n, s).
+
+    Raises:
+        ImageError: naming the file, what was expected and what came.
+    """
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files if name in ("names", "state")}
@@ -72,7 +80,11 @@ def from_npz(path: Path) -> tuple[list[str] | None, np.ndarray]:
 
 
 def from_hdf5(path: Path) -> tuple[list[str] | None, np.ndarray]:
-    """Names, if there are any, and states of an HDF5 file."""
+    """Names, if there are any, and states of an HDF5 file: (n,) and (n, s).
+
+    Raises:
+        ImageError: naming the file, what was expected and what came.
+    """
     try:
         with h5py.File(path, "r") as f:
             arrays = {name: f[name][()] for name in ("names", "state") if name in f}
@@ -82,7 +94,11 @@ def from_hdf5(path: Path) -> tuple[list[str] | None, np.ndarray]:
 
 
 def from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> tuple[list[str] | None, np.ndarray]:
-    """Names, if there are any, and states."""
+    """Names, if there are any, and states, of the arrays ``names`` (n,) and ``state`` (n, s) of a file.
+
+    Raises:
+        ImageError: naming the file, what was expected and what came.
+    """
     if "state" not in arrays:
         raise ImageError(f"{path}: has no array 'state'; expected one of shape (images, size)")
     if arrays["state"].dtype.kind not in "fiu":

@@ -44,7 +44,8 @@ class Reading:
 
     def fit(self, shape: Sequence[int]) -> Fitted:
         """The size, given that of an image."""
-        return Fitted(*self.size, self.how) if self.size else Fitted.nearest(*shape[:2], self.how)
+        height, width = self.size or shape[:2]
+        return Fitted(height, width, self.how) if self.size else Fitted.nearest(height, width, self.how)
 
 
 class StillImages(Dataset):
@@ -67,7 +68,8 @@ class StillImages(Dataset):
     frame_stack = 1
 
     def __init__(self, names: Sequence[str], read: Callable[[int], np.ndarray], reading: Reading, where: str) -> None:
-        self.read, self.where, self.labels = read, where, None
+        self.read, self.where = read, where
+        self.labels: np.ndarray | None = None
         self.fit = reading.fit(first_image(read, len(names)).shape)
         with ThreadPoolExecutor() as pool:  # decoding releases the interpreter's lock
             look = pool.map(partial(self.attempt, keep=reading.cache), range(len(names)))
@@ -93,7 +95,11 @@ class StillImages(Dataset):
         return image.shape[:2], self.fit(image) if keep else None
 
     def check_one_size(self) -> None:
-        """That all images came with the same size."""
+        """That all images came with the same size.
+
+        Raises:
+            ImageError: naming two that differ.
+        """
         for name, (h, w) in zip(self.names, self.sizes, strict=True):
             if (h, w) != self.sizes[0]:
                 (h0, w0), first = self.sizes[0], self.names[0]
@@ -120,7 +126,11 @@ class StillImages(Dataset):
 
 
 def first_image(read: Callable[[int], np.ndarray], n: int) -> np.ndarray:
-    """The first image that can be read; if there is none, what is wrong with the first."""
+    """The first of ``n`` images that can be read, uint8 (h, w, 3).
+
+    Raises:
+        ImageError: if there is none; what is wrong with the last.
+    """
     for i in range(n):
         try:
             return read(i)
@@ -131,7 +141,17 @@ def first_image(read: Callable[[int], np.ndarray], n: int) -> np.ndarray:
 
 
 def report_bad(where: str, bad: Sequence[ImageError], n: int, on_bad: OnBad) -> None:
-    """Raise or warn about images that cannot be read."""
+    """Raise or warn about images that cannot be read.
+
+    Args:
+        where: where they are, for the message.
+        bad: what is wrong with each of them.
+        n: number of all images there.
+        on_bad: which of the two.
+
+    Raises:
+        ImageError: that tells of the first five; with ``on_bad="error"``.
+    """
     if not bad:
         return
     few = "; ".join(str(e) for e in bad[:5]) + (f"; and {len(bad) - 5} more" if len(bad) > 5 else "")
@@ -142,7 +162,16 @@ def report_bad(where: str, bad: Sequence[ImageError], n: int, on_bad: OnBad) -> 
 
 
 def from_folder(folder: Path, reading: Reading, labels: Path | None = None) -> StillImages:
-    """The images below a folder, named by their paths in it, with their states if there is a file of them."""
+    """The images below a folder, named by their paths in it.
+
+    Args:
+        folder: of the images.
+        reading: how they are read.
+        labels: file with their states (:func:`datamodules.images.labels.read_labels`), or None.
+
+    Raises:
+        ImageError: naming the image, the folder or the file of labels, and what is wrong with it.
+    """
     files = list_images(folder)
     names = [f.relative_to(folder).as_posix() for f in files]
     images = StillImages(names, partial(read_numbered, files), reading, str(folder))

@@ -1,4 +1,4 @@
-"""Recordings of a robot in the formats that labs keep them in, turned into trajectory files (docs/import.md)."""
+"""Recordings of a robot in the formats that labs keep them in, turned into trajectory files (docs/guide/import.md)."""
 
 from datamodules.recordings.check import ActuatorLayout, JointLayout, ModelLayout, fit_to_model
 from datamodules.recordings.convert import Imported, convert

@@ -88,21 +88,18 @@ def _check_names(mapping: Mapping, kind: str, mapped: dict, known: list[str], mo
 
 def _fit_joint(mapping: Mapping, joint: Joint, layout: JointLayout) -> Joint:
     nq, nv = WIDTHS[layout.type]
-    fitted = [joint.position, joint.velocity]
-    for i, (channel, width, per) in enumerate(((joint.position, nq, ""), (joint.velocity, nv, "/s"))):
-        if channel is None:
-            continue
-        columns = max(len(channel.columns), 1)
-        if columns != width:
-            raise RecordingError(
-                f"{mapping.source}: {channel.key}: a {layout.type} joint takes {width} columns, got {columns}"
-            )
-        fitted[i] = _with_si(mapping, channel, layout, per)
-    return Joint(*fitted)
+    position = _fit_channel(mapping, joint.position, layout, nq, "")
+    velocity = None if joint.velocity is None else _fit_channel(mapping, joint.velocity, layout, nv, "/s")
+    return Joint(position, velocity)
 
 
-def _with_si(mapping: Mapping, channel: Channel, layout: JointLayout, per: str) -> Channel:
-    """The channel with the unit that the joint's type says, where the map says none."""
+def _fit_channel(mapping: Mapping, channel: Channel, layout: JointLayout, width: int, per: str) -> Channel:
+    """The channel, checked for its width, with the unit that the joint's type says where the map says none."""
+    columns = max(len(channel.columns), 1)
+    if columns != width:
+        raise RecordingError(
+            f"{mapping.source}: {channel.key}: a {layout.type} joint takes {width} columns, got {columns}"
+        )
     if layout.type not in SI:
         return channel
     si = SI[layout.type] + per

@@ -46,23 +46,27 @@ class Imported:
 def convert(recordings: list[Recorded], mapping: Mapping, source: str = "") -> Imported:
     """Turn recorded episodes into trajectories, joints and actuators in the map's order.
 
+    Args:
+        recordings: as the readers return them.
+        mapping: which column is what.
+        source: what the trajectory file says of where the data come from.
+
     Raises:
         RecordingError: naming the file, column and row, what was expected and what came.
     """
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
     times = [_times(episode, mapping) for episode in episodes]
     timing = _timing(times, episodes)
-    velocities = all(joint.velocity is not None for joint in mapping.joints.values())
-    made = tuple(_episode(e, mapping, t, timing, velocities) for e, t in zip(episodes, times, strict=True))
+    made = tuple(_episode(e, mapping, t, timing) for e, t in zip(episodes, times, strict=True))
     return Imported(Trajectories(made, timing.dt, source), timing, _notes(mapping, timing))
 
 
-def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing, velocities: bool) -> Episode:
+def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
     """One episode of T+1 = len(times) rows."""
     rows = len(times)
     observations = {"qpos": _rows([j.position for j in mapping.joints.values()], recorded, rows)}
-    if velocities:
-        observations["qvel"] = _rows([j.velocity for j in mapping.joints.values()], recorded, rows)
+    if mapping.velocities:
+        observations["qvel"] = _rows(mapping.velocities, recorded, rows)
     commands = [_command(channel, recorded, rows, mapping.actions_at) for channel in mapping.actuators.values()]
     return Episode(
         actions=np.column_stack([np.empty((rows - 1, 0)), *commands]).astype(np.float32),
@@ -119,6 +123,7 @@ def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
     if rows < 2:
         raise RecordingError(f"{recorded.source}: has {rows} rows, expected at least 2 to make one step")
     if mapping.time is None:
+        assert mapping.dt is not None  # a map has one or the other
         return mapping.dt * np.arange(rows)
     column, unit = mapping.time
     raw = recorded.numbers(column, "time.column")

@@ -23,14 +23,29 @@ def listing(names: Iterable[str]) -> str:
 
 
 def choices(wanted: str, names: Iterable[str], what: str) -> str:
-    """``did you mean 'x'? <what> are: ...``, for a name that is not among the known ones."""
+    """``did you mean 'x'? <what>: ...``, for a name that is not among the known ones.
+
+    Args:
+        wanted: the name.
+        names: the known ones.
+        what: how their list begins, such as ``"columns are"``.
+    """
     names = [str(n) for n in names]
     near = get_close_matches(wanted, names, 1)
     return (f"did you mean {near[0]!r}? " if near else "") + f"{what}: {listing(names)}"
 
 
 def optional(module: str, package: str, path: object) -> ModuleType:
-    """Import a module that only some formats need, or say what to install."""
+    """Import a module that only some formats need.
+
+    Args:
+        module: to import.
+        package: that has it, as people know it.
+        path: the recording that needs it, for the message.
+
+    Raises:
+        RecordingError: if it is not installed; the message says how to install it.
+    """
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -49,7 +49,11 @@ def read_recording(path: Path | str, mapping: Mapping, format: str | None = None
 
 
 def find(path: Path | str, format: str | None) -> Path:
-    """The recording's path; a Minari id such as ``door/human-v2`` is looked up among the local datasets."""
+    """The recording's path; a Minari id such as ``door/human-v2`` is looked up among the local datasets.
+
+    Raises:
+        RecordingError: if there is no such file, folder or dataset.
+    """
     found = Path(path)
     if not found.exists() and (format == "minari" or (format is None and re.fullmatch(r".+-v\d+", str(path)))):
         root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
@@ -62,7 +66,11 @@ def find(path: Path | str, format: str | None) -> Path:
 
 
 def guess(path: Path) -> str:
-    """The format, from the suffix or from what lies in the folder."""
+    """The format, a key of ``FORMATS``, from the suffix or from what lies in the folder.
+
+    Raises:
+        RecordingError: if neither tells.
+    """
     if path.is_dir():
         if (path / "meta" / "info.json").is_file():
             return "lerobot"

@@ -1,4 +1,4 @@
-"""The map: a small YAML file that says which column is which joint, actuator and time (docs/import.md)."""
+"""The map: a small YAML file that says which column is which joint, actuator and time (docs/guide/import.md)."""
 
 from __future__ import annotations
 
@@ -88,6 +88,12 @@ class Mapping:
     clock: str | None = None
     source: str = "map"
 
+    @property
+    def velocities(self) -> list[Channel]:
+        """The joints' velocities, in the order of the map; empty unless all were measured."""
+        measured = [joint.velocity for joint in self.joints.values() if joint.velocity is not None]
+        return measured if len(measured) == len(self.joints) else []
+
     def columns(self) -> Iterator[str]:
         """Every column that the map names; the first is the first joint's position."""
         for joint in self.joints.values():
@@ -108,11 +114,11 @@ def read_mapping(path: Path | str) -> Mapping:
     """
     path = Path(path)
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file; expected the map, see docs/import.md")
+        raise RecordingError(f"{path}: no such file; expected the map, see docs/guide/import.md")
     try:
         return parse_mapping(yaml.load(path.read_text(), UniqueKeys), str(path))  # a SafeLoader
     except UnicodeDecodeError:
-        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/import.md") from None
+        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/guide/import.md") from None
     except yaml.YAMLError as error:
         raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
 
@@ -130,7 +136,15 @@ class UniqueKeys(yaml.SafeLoader):
 
 
 def parse_mapping(content: Any, source: str = "map") -> Mapping:
-    """Check a map that was read from YAML."""
+    """Check a map that was read from YAML.
+
+    Args:
+        content: of the YAML file.
+        source: its name, for messages.
+
+    Raises:
+        RecordingError: naming the source, the key, what was expected and what came.
+    """
     try:
         return _mapping(content, source)
     except RecordingError as error:
@@ -142,7 +156,7 @@ def _mapping(content: Any, source: str) -> Mapping:
     time, dt = _clock(top)
     joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
     if not any(not joint.position.constant for joint in joints.values()):
-        raise RecordingError("joints: expected at least one joint with a position column; see docs/import.md")
+        raise RecordingError("joints: expected at least one joint with a position column; see docs/guide/import.md")
     actuators = {
         name: _channel(f"actuators.{name}", value, actuator_unit)
         for name, value in _names("actuators", top.get("actuators"))

@@ -31,8 +31,9 @@ def summary(imported: Imported, mapping: Mapping) -> tuple[list[Row], list[str]]
 def _rows(imported: Imported, mapping: Mapping) -> list[Row]:
     joints = mapping.joints.items()
     groups = [("observations", "qpos", [(f"{name} position", joint.position) for name, joint in joints])]
-    if "qvel" in imported.trajectories.episodes[0].observations:
-        groups.append(("observations", "qvel", [(f"{name} velocity", joint.velocity) for name, joint in joints]))
+    if mapping.velocities:
+        velocities = zip(mapping.joints, mapping.velocities, strict=True)
+        groups.append(("observations", "qvel", [(f"{name} velocity", channel) for name, channel in velocities]))
     groups.append(("actions", "", [(f"{name} command", channel) for name, channel in mapping.actuators.items()]))
     rows = []
     for group, array, channels in groups:

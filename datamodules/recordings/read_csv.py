@@ -14,7 +14,11 @@ from datamodules.recordings.recorded import Recorded, is_number
 
 
 def read_csv(path: Path, mapping: Mapping) -> list[Recorded]:
-    """Read a table as one episode. Rows are named by their line in the file, columns by the header."""
+    """Read a table as one episode. Rows are named by their line in the file, columns by the header.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
+    """
     lines = _lines(path, mapping)
     first_line = lines[0][0]
     names = [name.strip() for name in lines[0][1]]

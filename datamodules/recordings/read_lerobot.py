@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,16 @@ def read_lerobot(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read every episode: columns ``timestamp``, ``action[0]``, ``observation.state[shoulder_pan.pos]``, ...
 
     Elements go by number and, where ``info.json`` names them, by name. Images and videos are left out.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
     """
     parquet = optional("pyarrow.parquet", "pyarrow", path)
     files = sorted((path / "data").rglob("*.parquet")) if path.is_dir() else [path]
     if not files:
         raise RecordingError(f"{path}: not a LeRobot dataset: expected data/chunk-*/*.parquet")
     labels = _labels(path) if path.is_dir() else {}
-    episodes = {}
+    episodes: dict[int | None, list[dict[str, np.ndarray]]] = {}
     for file in files:
         for index, columns in _episodes(file, parquet):
             episodes.setdefault(index, []).append(columns)
@@ -42,15 +46,14 @@ def _episodes(file: Path, parquet: ModuleType) -> list[tuple[int | None, dict[st
         table = parquet.read_table(file)
     except (OSError, pyarrow.ArrowException) as error:
         raise RecordingError(f"{file}: not a readable parquet file: {str(error).splitlines()[0]}") from None
-    arrays = {name: _array(table.column(name)) for name in table.column_names}
-    arrays = {name: a for name, a in arrays.items() if a is not None}
+    arrays = {name: a for name in table.column_names if (a := _array(table.column(name))) is not None}
     if EPISODE not in arrays:
         return [(None, arrays)]
     index = arrays[EPISODE]
     return [(int(i), {name: a[index == i] for name, a in arrays.items()}) for i in np.unique(index)]
 
 
-def _array(column) -> np.ndarray | None:
+def _array(column: Any) -> np.ndarray | None:
     """Numbers (rows,) or (rows, n), or text (rows,); None for images and ragged lists. Nulls become NaN."""
     kind = str(column.type)
     if kind.startswith(("struct", "binary", "large_binary")):
@@ -68,7 +71,7 @@ def _array(column) -> np.ndarray | None:
 
 
 def _joined(parts: list[dict[str, np.ndarray]], labels: dict[str, list[str]]) -> dict[str, np.ndarray]:
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for name in parts[0]:
         pieces = [part[name] for part in parts if name in part]
         if len({piece.shape[1:] for piece in pieces}) == 1:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from datamodules.recordings.errors import RecordingError, choices, listing, opti
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, is_number
 
-LONGEST = 256
+LONGEST_LIST = 256
 """A longer list in a message is an image or a scan and is left out."""
 
 DECODERS = {"mcap_ros2.decoder": "mcap-ros2-support", "mcap_protobuf.decoder": "mcap-protobuf-support"}
@@ -28,6 +28,9 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read a file as one episode: columns ``<topic>.<field>``, such as ``/joint_states.position[elbow]``.
 
     Every topic also has ``<topic>.log_time`` and ``<topic>.publish_time`` in ns.
+
+    Raises:
+        RecordingError: naming the file, the topic or column, what was expected and what came.
     """
     optional("mcap", "mcap", path)
     from mcap.exceptions import McapError
@@ -37,14 +40,14 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
             topics = _read_topics(path, f, list(mapping.columns()))
     except (McapError, EOFError) as error:
         raise RecordingError(f"{path}: not a readable MCAP file (truncated or of another kind): {error!r}") from None
-    clock = mapping.clock or _topic_of(next(mapping.columns()), topics)
+    clock = mapping.clock or next(iter(topics))  # the first column's
     if clock not in topics:
         raise RecordingError(f"{path}: the map's clock: no topic {clock!r}; " + choices(clock, topics, "topics are"))
     return [Recorded(str(path), _on_rows_of(clock, topics))]
 
 
-def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, Any]]]:
-    """Flattened messages, in order of log time, of the topics that the wanted columns come from."""
+def _read_topics(path: Path, f: BinaryIO, wanted: list[str]) -> dict[str, list[dict[str, Any]]]:
+    """Flattened messages, in order of log time, of the topics that the wanted columns come from, in their order."""
     from mcap.reader import make_reader
 
     reader = make_reader(f)
@@ -52,13 +55,14 @@ def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, A
     names = _topic_names(reader)
     if not names:
         raise RecordingError(f"{path}: is empty; expected messages")
+    topics: dict[str, list[dict[str, Any]]] = {}
     for column in wanted:
-        if _topic_of(column, names) is None:
+        if (topic := _topic_of(column, names)) is None:
             raise RecordingError(
                 f"{path}: column {column!r} is of no topic in it; expected <topic>.<field>, topics are: "
                 + listing(sorted(names))
             )
-    topics = {_topic_of(column, names): [] for column in wanted}
+        topics[topic] = []
     for schema, channel, message in reader.iter_messages(topics=list(topics)):
         flat = {"log_time": message.log_time, "publish_time": message.publish_time}
         flat |= _flatten(_decode(path, factories, schema, channel, message))
@@ -66,7 +70,7 @@ def _read_topics(path: Path, f, wanted: list[str]) -> dict[str, list[dict[str, A
     return topics
 
 
-def _topic_names(reader) -> set[str]:
+def _topic_names(reader: Any) -> set[str]:
     """Topics with messages; a recording that was cut short has no summary, so its messages are walked."""
     summary = reader.get_summary()
     if summary is not None and summary.channels:
@@ -74,7 +78,7 @@ def _topic_names(reader) -> set[str]:
     return {channel.topic for _, channel, _ in reader.iter_messages()}
 
 
-def _topic_of(column: str, topics) -> str | None:
+def _topic_of(column: str, topics: Iterable[str]) -> str | None:
     """The longest topic that a column's name begins with."""
     return max((t for t in topics if column.startswith(f"{t}.")), key=len, default=None)
 
@@ -82,7 +86,8 @@ def _topic_of(column: str, topics) -> str | None:
 class JsonDecoder:
     """Messages that are JSON, in the shape that mcap expects of a decoder factory."""
 
-    def decoder_for(self, message_encoding: str, schema):
+    def decoder_for(self, message_encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+        """The decoder, if this is JSON."""
         return json.loads if message_encoding == "json" else None
 
 
@@ -95,7 +100,7 @@ def _decoder_factories() -> Iterator:
             continue
 
 
-def _decode(path: Path, factories: list, schema, channel, message) -> Any:
+def _decode(path: Path, factories: list, schema: Any, channel: Any, message: Any) -> Any:
     for factory in factories:
         if decoder := factory.decoder_for(channel.message_encoding, schema):
             try:
@@ -121,7 +126,7 @@ def _flatten(message: Any, name: str = "") -> dict[str, Any]:
     if fields is not None:
         if (stamp := _stamp(fields)) is not None:
             return {name: stamp}
-        flat = {}
+        flat: dict[str, Any] = {}
         labels = fields.get("name")
         for key, value in fields.items():
             flat |= _labelled(f"{name}.{key}" if name else str(key), value, None if key == "name" else labels)
@@ -135,7 +140,7 @@ def _labelled(name: str, value: Any, labels: Any) -> dict[str, Any]:
     """Elements of a list by number and, as in a ROS JointState, by the names that lie beside it."""
     if isinstance(value, (str, bytes, bytearray)) or _fields(value) is not None or not hasattr(value, "__len__"):
         return {} if isinstance(value, (bytes, bytearray)) or value is None else _flatten(value, name)
-    if len(value) > LONGEST:
+    if len(value) > LONGEST_LIST:
         return {}
     flat = {}
     named = not isinstance(labels, str) and hasattr(labels, "__len__") and len(labels) == len(value)

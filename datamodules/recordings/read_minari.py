@@ -20,6 +20,9 @@ def read_minari(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read every episode: columns ``observations[0]``, ``observations/qpos[0]``, ``actions[0]``, ...
 
     Observations have one row more than actions, as in a trajectory file.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
     """
     if not path.is_dir():
         return _read_hdf5(path)
@@ -48,9 +51,9 @@ def _number(episode: str) -> tuple[int, str]:
 
 
 def _columns(group: h5py.Group) -> dict[str, np.ndarray]:
-    arrays = {}
+    arrays: dict[str, h5py.Dataset] = {}
     group.visititems(lambda name, item: arrays.update({name: item}) if isinstance(item, h5py.Dataset) else None)
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for name, dataset in arrays.items():
         if 1 <= dataset.ndim <= 2 and dataset.dtype.kind in "fiub":
             columns |= flat_columns(name, dataset[()])
@@ -78,7 +81,7 @@ def _nested(value: Any, name: str = "") -> dict[str, np.ndarray]:
     if not isinstance(value, dict):
         array = np.asarray(value)
         return flat_columns(name, array) if array.dtype.kind in "fiub" else {}
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for key, part in value.items():
         columns |= _nested(part, f"{name}/{key}" if name else key)
     return columns

@@ -13,8 +13,12 @@ from datamodules.recordings.recorded import Recorded, flat_columns
 
 
 def read_npz(path: Path, mapping: Mapping) -> list[Recorded]:
-    """Read an archive as one episode: ``q`` of shape (rows, 2) has columns ``q[0]`` and ``q[1]``."""
-    columns = {}
+    """Read an archive as one episode: ``q`` of shape (rows, 2) has columns ``q[0]`` and ``q[1]``.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
+    """
+    columns: dict[str, np.ndarray] = {}
     try:
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,15 @@ class Recorded:
         return f"{self.row_word} {k if self.row_numbers is None else self.row_numbers[k]}"
 
     def column(self, name: str, needed_by: str) -> np.ndarray:
-        """A column by name, or an error that lists those there are."""
+        """A column by name, (rows,).
+
+        Args:
+            name: of the column.
+            needed_by: the key of the map that names it, for the message.
+
+        Raises:
+            RecordingError: if there is none; the message lists those there are.
+        """
         if name not in self.columns:
             raise RecordingError(
                 f"{self.source}: no column {name!r}, which the map names at {needed_by}; "
@@ -42,7 +51,16 @@ class Recorded:
         return self.columns[name]
 
     def numbers(self, name: str, needed_by: str, keep: slice = slice(None)) -> np.ndarray:
-        """A column's finite numbers (rows,) in rows ``keep``; integers stay integers, so that ns stay exact."""
+        """A column's finite numbers (rows,); integers stay integers, so that ns stay exact.
+
+        Args:
+            name: of the column.
+            needed_by: the key of the map that names it, for the message.
+            keep: the rows that are wanted; others may hold anything.
+
+        Raises:
+            RecordingError: naming the first row that holds no finite number, and what it holds.
+        """
         values = self.column(name, needed_by)[keep]
         first = range(*keep.indices(len(self.columns[name])))
         if values.dtype.kind not in "fiub":
@@ -79,7 +97,7 @@ class Recorded:
         ]
 
 
-def is_number(text: object) -> bool:
+def is_number(text: Any) -> bool:
     """Whether a cell reads as a number."""
     try:
         float(text)
@@ -89,7 +107,7 @@ def is_number(text: object) -> bool:
 
 
 def flat_columns(name: str, array: np.ndarray, labels: list[str] | None = None) -> dict[str, np.ndarray]:
-    """Columns of an array (rows,) or (rows, n): ``name``, or ``name[i]`` and, with labels, ``name[label]``."""
+    """Columns of an array (rows,) or (rows, n): ``name``, or ``name[i]`` and, with n labels, ``name[label]``."""
     array = np.asarray(array)
     if array.ndim == 1:
         return {name: array}

@@ -35,7 +35,11 @@ class Unit:
 
 
 def position_unit(name: str, where: str) -> Unit:
-    """A joint position's unit: an angle, a length or ``counts:<per rev>``."""
+    """A joint position's unit: an angle, a length or ``counts:<per rev>``; ``where`` is its place in the map.
+
+    Raises:
+        RecordingError: naming the place and the units there are.
+    """
     if name.startswith("counts:"):
         return Unit(name, "rad", TURN / _counts(name, where))
     for si, table in (("rad", ANGLE), ("m", LENGTH)):
@@ -46,7 +50,11 @@ def position_unit(name: str, where: str) -> Unit:
 
 
 def velocity_unit(name: str, where: str) -> Unit:
-    """A joint velocity's unit: a position's, with or without ``/s``, or ``rpm``."""
+    """A joint velocity's unit: a position's, with or without ``/s``, or ``rpm``.
+
+    Raises:
+        RecordingError: naming the place and the units there are.
+    """
     if name == "rpm":
         return Unit(name, "rad/s", TURN / 60)
     try:
@@ -58,7 +66,11 @@ def velocity_unit(name: str, where: str) -> Unit:
 
 
 def actuator_unit(name: str, where: str) -> Unit:
-    """A command's unit: force, torque, voltage, current, a share, a position or a velocity."""
+    """A command's unit: force, torque, voltage, current, a share, a position or a velocity.
+
+    Raises:
+        RecordingError: naming the place and the units there are.
+    """
     if name in OTHER:
         si, factor = OTHER[name]
         return Unit(name, si, factor)

@@ -4,5 +4,14 @@ from idapt_pl.envs.grounded_env import GroundedEnv
 from idapt_pl.envs.image_env import VectorImageEnv
 from idapt_pl.envs.state_env import StatesOnly, VectorStateEnv
 from idapt_pl.envs.target_env import BlindTarget
+from idapt_pl.envs.wrapper import ImageEnv, ImageEnvWrapper
 
-__all__ = ["BlindTarget", "GroundedEnv", "StatesOnly", "VectorImageEnv", "VectorStateEnv"]
+__all__ = [
+    "BlindTarget",
+    "GroundedEnv",
+    "ImageEnv",
+    "ImageEnvWrapper",
+    "StatesOnly",
+    "VectorImageEnv",
+    "VectorStateEnv",
+]

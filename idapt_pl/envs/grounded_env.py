@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-import gymnasium
 import numpy as np
+
+from idapt_pl.envs.image_env import Observations, ResetResult, StepResult, VectorImageEnv
+from idapt_pl.envs.wrapper import ImageEnvWrapper
 
 Translate = Callable[[np.ndarray], np.ndarray]
 """G: uint8 (n, k, H, W, 3) source frames to uint8 target-style frames of the same shape."""
@@ -13,7 +16,7 @@ TransformAction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """F: target observation pixels (n, K, H, W, 3) and target actions (n, nu) to source actions (n, nu)."""
 
 
-class GroundedEnv(gymnasium.vector.VectorWrapper):
+class GroundedEnv(ImageEnvWrapper):
     """Source environment that looks and moves like the target.
 
     Each step: ô^T = G(o^S); the policy chooses a^T from ô^T; â^S = F(ô^T, a^T); the source steps with â^S.
@@ -27,17 +30,19 @@ class GroundedEnv(gymnasium.vector.VectorWrapper):
         frames: how many frames G translates at a time: 1, or the whole stack K.
     """
 
-    def __init__(self, env, G: Translate | None = None, F: TransformAction | None = None, frames: int = 1) -> None:
+    def __init__(
+        self, env: VectorImageEnv, G: Translate | None = None, F: TransformAction | None = None, frames: int = 1
+    ) -> None:
         super().__init__(env)
         self.G, self.F, self.frames = G, F, frames
-        self._pixels = np.zeros(env.observation_space["pixels"].shape, np.uint8)  # ô^T, (n, K, H, W, 3)
+        self._pixels = np.zeros(env.observation_space["pixels"].shape or (), np.uint8)  # ô^T, (n, K, H, W, 3)
 
-    def reset(self, **kwargs):
+    def reset(self, **kwargs: Any) -> ResetResult:
         obs, infos = self.env.reset(**kwargs)
         self._pixels = self._translate(obs["pixels"], fresh=np.ones(self.num_envs, bool))
         return self._observe(obs, self._pixels.copy()), infos
 
-    def step(self, actions: np.ndarray):
+    def step(self, actions: np.ndarray) -> StepResult:
         if self.F is not None:
             actions = self.F(self._pixels, actions)
         obs, rewards, terminations, truncations, infos = self.env.step(actions)
@@ -49,7 +54,7 @@ class GroundedEnv(gymnasium.vector.VectorWrapper):
         return self._observe(obs, self._pixels.copy()), rewards, terminations, truncations, infos
 
     @staticmethod
-    def _observe(obs: dict[str, np.ndarray], pixels: np.ndarray) -> dict[str, np.ndarray]:
+    def _observe(obs: Observations, pixels: np.ndarray) -> Observations:
         return {**obs, "pixels": pixels, "source_pixels": obs["pixels"]}
 
     def _translate(self, pixels: np.ndarray, fresh: np.ndarray) -> np.ndarray:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import gymnasium
 import mujoco
@@ -12,8 +11,15 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from idapt_pl.effects import WHOLE, Domain, View
-from idapt_pl.rendering.parallel import ParallelRenderer
+from idapt_pl.rendering.parallel import BatchRenderer, ParallelRenderer
 from idapt_pl.tasks import Task
+
+Observations: TypeAlias = dict[str, np.ndarray]
+"""Name to array, a row for each simulation."""
+ResetResult: TypeAlias = tuple[Observations, dict[str, Any]]
+"""What ``reset`` returns: observations and infos."""
+StepResult: TypeAlias = tuple[Observations, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
+"""What ``step`` returns: observations, rewards float (n,), terminations and truncations bool (n,), and infos."""
 
 
 class VectorImageEnv(gymnasium.vector.VectorEnv):
@@ -34,6 +40,9 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
     """
 
+    single_observation_space: gymnasium.spaces.Dict
+    observation_space: gymnasium.spaces.Dict
+
     def __init__(
         self,
         task: Task,
@@ -43,7 +52,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         frame_stack: int = 3,
         view: View = WHOLE,
         render_processes: int = 0,
-    ):
+    ) -> None:
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
@@ -53,7 +62,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._frames = np.zeros((num_envs, frame_stack, image_size, image_size, 3), np.uint8)
 
-        low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
+        self._limits = low, high = self.model.actuator_ctrlrange.T.astype(np.float32)
         self.single_action_space = gymnasium.spaces.Box(low, high)
         state_dim = len(task.state(self.model, self.data[0]))
         self.single_observation_space = gymnasium.spaces.Dict(
@@ -63,14 +72,14 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
             }
         )
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.observation_space = cast(gymnasium.spaces.Dict, batch_space(self.single_observation_space, num_envs))
 
     @property
     def dt(self) -> float:
         """Control period, s."""
         return self.task.period(self.model)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin new episodes; with ``options={"reset_mask": mask}`` in the simulations that it marks only."""
         if seed is not None:
             self._rng = np.random.default_rng(seed)
@@ -78,8 +87,8 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._reset(np.flatnonzero(mask))
         return self._observe(), {}
 
-    def step(self, actions: np.ndarray):
-        actions = np.clip(actions, self.action_space.low, self.action_space.high)
+    def step(self, actions: np.ndarray) -> StepResult:
+        actions = np.clip(actions, *self._limits)
         actions = self.domain.command(self.model, actions)
         rewards = np.zeros(self.num_envs)
         terminations = np.zeros(self.num_envs, bool)
@@ -98,12 +107,18 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         return self._observe(), rewards, terminations, truncations, infos
 
     def show(self, i: int, other: mujoco.MjData) -> np.ndarray:
-        """Put simulation ``i`` into the state of another domain's. Returns its frame; for paired evaluation only."""
+        """Put simulation ``i`` into the state of another domain's. Returns its frame, uint8 (H, W, 3).
+
+        For paired evaluation only.
+        """
         self.data[i].mocap_pos[:], self.data[i].mocap_quat[:] = other.mocap_pos, other.mocap_quat
         return self.set_state(i, other.qpos, other.qvel)
 
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Put simulation ``i`` into a state. Returns its frame, uint8 (H, W, 3); for paired evaluation only."""
+        """Put simulation ``i`` into a state (positions (nq,), velocities (nv,)). Returns its frame, uint8 (H, W, 3).
+
+        For paired evaluation only.
+        """
         self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, self.data[i])
         self._frames[i, -1] = self._render([self.data[i]])[0]
@@ -121,7 +136,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._elapsed[which] = 0
         self._frames[which] = self._render([self.data[i] for i in which])[:, None]
 
-    def _make_renderer(self, size: int, processes: int) -> Callable[[Sequence[mujoco.MjData]], np.ndarray]:
+    def _make_renderer(self, size: int, processes: int) -> BatchRenderer:
         return ParallelRenderer(self.model, size, processes)
 
     def _look(self) -> None:
@@ -129,6 +144,6 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._frames[:, :-1] = self._frames[:, 1:]
         self._frames[:, -1] = self._render(self.data)
 
-    def _observe(self) -> dict[str, np.ndarray]:
+    def _observe(self) -> Observations:
         states = [self.task.state(self.model, data) for data in self.data]
         return {"pixels": self._frames.copy(), "state": np.asarray(states, np.float32)}

@@ -14,6 +14,9 @@ class Ledger:
     The environment counts while it is stepped (:meth:`count`). An entry is made (:meth:`enter`) when the
     file that holds those interactions has been written, from what that file holds; so a run killed in
     between has both or neither, and nothing is counted twice.
+
+    Args:
+        path: of the file; entries that it has are kept.
     """
 
     def __init__(self, path: Path) -> None:
@@ -22,11 +25,21 @@ class Ledger:
         self._counting: dict[tuple[int, str], int] = {}
 
     def count(self, step: int, purpose: str, interactions: int) -> None:
-        """Count interactions as they happen."""
+        """Count interactions as they happen.
+
+        Args:
+            step: grounding step that they are for.
+            purpose: what they are for; ``"training"`` is the method's own.
+            interactions: control steps.
+        """
         self._counting[step, purpose] = self._counting.get((step, purpose), 0) + interactions
 
     def enter(self, step: int, purpose: str, interactions: int) -> None:
-        """Make or repeat an entry. What was counted since the last entry must agree with it."""
+        """Make or repeat an entry; arguments as of :meth:`count`.
+
+        Raises:
+            RuntimeError: if it disagrees with what was counted since the last entry.
+        """
         counted = self._counting.pop((step, purpose), None)
         if counted is not None and counted != interactions:
             raise RuntimeError(

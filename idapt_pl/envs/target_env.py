@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 
+from idapt_pl.envs.image_env import ResetResult, StepResult, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
+from idapt_pl.envs.wrapper import ImageEnvWrapper
 
 
-class BlindTarget(gymnasium.vector.VectorWrapper):
+class BlindTarget(ImageEnvWrapper):
     """Hides the target's state and reward, and enters every step in the ledger.
 
     Rewards are NaN, so anything trained on them breaks visibly. That an episode has ended is visible, as
     it is on a robot that fell over; why it ended is not: every end is reported as a truncation.
+
+    Args:
+        env: the target.
+        ledger: where interactions are counted.
+        step: grounding step that they are for.
+        purpose: what they are for; ``"training"`` counts as the method's.
     """
 
-    def __init__(self, env, ledger: Ledger, step: int, purpose: str) -> None:
+    def __init__(self, env: VectorImageEnv, ledger: Ledger, step: int, purpose: str) -> None:
         super().__init__(env)
         self._entry = (ledger, step, purpose)
         self.single_observation_space = gymnasium.spaces.Dict({"pixels": env.single_observation_space["pixels"]})
         self.observation_space = gymnasium.spaces.Dict({"pixels": env.observation_space["pixels"]})
 
-    def reset(self, **kwargs):
+    def reset(self, **kwargs: Any) -> ResetResult:
         obs, _ = self.env.reset(**kwargs)
         return {"pixels": obs["pixels"]}, {}
 
-    def step(self, actions: np.ndarray):
+    def step(self, actions: np.ndarray) -> StepResult:
         obs, _, terminations, truncations, infos = self.env.step(actions)
         ledger, step, purpose = self._entry
         ledger.count(step, purpose, self.num_envs)

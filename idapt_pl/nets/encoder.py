@@ -56,6 +56,9 @@ class PixelEncoder(nn.Module):
         features: size of f(o).
         pool: ``flatten`` (the paper) or ``keypoints``, where in the image each channel is active: positions
             finer than a pixel from few images.
+
+    Raises:
+        ValueError: if the crop is larger than the image.
     """
 
     def __init__(
@@ -233,13 +236,21 @@ class Vision:
     rates: Literal["learned", "differences", "frames"] = "learned"
 
     def encoder(self, image_size: int | Sequence[int], frame_stack: int) -> PixelEncoder:
-        """A new encoder."""
+        """A new encoder of stacks of K frames of this size (a side, or height and width, pixels)."""
         return PixelEncoder(image_size, frame_stack, self.crop, self.strides, pool=self.pool)
 
     def predictor(
         self, image_size: int | Sequence[int], frame_stack: int, state_dim: int, rates: dict[int, int], dt: float
     ) -> PixelStatePredictor:
-        """A new state predictor."""
+        """A new state predictor.
+
+        Args:
+            image_size: side, or height and width, pixels.
+            frame_stack: K.
+            state_dim: size of the state.
+            rates: state component to the component it is the rate of.
+            dt: control period, s.
+        """
         if self.rates == "frames":
             return FrameStatePredictor(self.encoder(image_size, 1), state_dim, frame_stack)
         if self.rates == "learned" or not rates:

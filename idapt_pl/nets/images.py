@@ -41,11 +41,12 @@ def center_crop(images: Shaped[Tensor, "*b h w"], size: int | Sequence[int]) -> 
     return images[..., top : top + height, left : left + width]
 
 
-def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int) -> UInt8[Tensor, "b k size size 3"]:
-    """A random ``size`` x ``size`` window for each stack; on bytes, before they become four times as many."""
+def random_crop(pixels: UInt8[Tensor, "b k h w 3"], size: int | Sequence[int]) -> UInt8[Tensor, "b k height width 3"]:
+    """A random window (a side, or height and width) for each stack; on bytes, before they are four times as many."""
     b, _, h, w, _ = pixels.shape
-    tops, lefts = (torch.randint(n - size + 1, (b,)).tolist() for n in (h, w))
-    windows = [p[:, t : t + size, s : s + size] for p, t, s in zip(pixels, tops, lefts, strict=True)]
+    height, width = height_width(size)
+    tops, lefts = torch.randint(h - height + 1, (b,)).tolist(), torch.randint(w - width + 1, (b,)).tolist()
+    windows = [p[:, t : t + height, s : s + width] for p, t, s in zip(pixels, tops, lefts, strict=True)]
     return torch.stack(windows)
 
 
@@ -65,7 +66,13 @@ def jitter(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "
 
 
 def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
-    """Mean of the newest ``frames`` of the stacks of both domains, as channels, (C, H, W), -1..1."""
+    """Mean of the newest frames of the stacks of both domains, as channels, (3 frames, H, W), -1..1.
+
+    Args:
+        batches: of :class:`datamodules.UnpairedImages` or :class:`datamodules.images.ImageDomains`.
+        frames: how many of a stack's frames.
+        most: batches that are looked at.
+    """
     sums: dict[str, list[Tensor]] = {"source": [], "target": []}
     for batch in itertools.islice(batches, most):
         batch = batch[0] if isinstance(batch, tuple) else batch  # Lightning's CombinedLoader gives indices too

@@ -9,7 +9,14 @@ from torch import nn
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: type[nn.Module] = nn.ReLU) -> nn.Sequential:
-    """Linear layers with an activation between them; the last layer is linear."""
+    """Linear layers with an activation between them; the last layer is linear.
+
+    Args:
+        inputs: size of the input.
+        hidden: sizes of the layers between.
+        outputs: size of the output.
+        activation: its class.
+    """
     sizes = [inputs, *hidden]
     layers: list[nn.Module] = []
     for a, b in pairwise(sizes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -33,7 +34,7 @@ class InstanceNorm(nn.InstanceNorm2d):
 
 
 def conv_block(ins: int, outs: int, kernel: int, stride: int = 1) -> nn.Sequential:
-    """Reflection padding, convolution, instance norm, ReLU."""
+    """Reflection padding, convolution (``ins`` to ``outs`` channels), instance norm, ReLU."""
     return nn.Sequential(
         nn.ReflectionPad2d(kernel // 2),
         nn.Conv2d(ins, outs, kernel, stride=stride),
@@ -46,11 +47,11 @@ class _GradientLikeInput(torch.autograd.Function):
     """To channels last, and the gradient back from there: all layers before would get theirs so, and be slower."""
 
     @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
         return x.contiguous(memory_format=torch.channels_last)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor) -> Tensor:
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
         return gradient.contiguous()
 
 
@@ -115,13 +116,23 @@ class ResnetGenerator(nn.Module):
 
     @torch.no_grad()
     def start_from(self, image: Float[Tensor, "c h w"]) -> None:
-        """Begin as the net that gives this image, -1..1, whatever it is shown."""
+        """Begin as the net that gives this image, -1..1, whatever it is shown.
+
+        Raises:
+            ValueError: if the net was made without a background.
+        """
+        if self.background is None:
+            raise ValueError("this generator has no background to start from; make it with background=(height, width)")
         self.background.copy_(torch.atanh(image.clamp(-0.99, 0.99)))
         nn.init.zeros_(self.body[-1].weight)
         nn.init.zeros_(self.body[-1].bias)
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
-        """Translate images, -1..1."""
+        """Translate images, -1..1.
+
+        Raises:
+            ValueError: if there is a background of another size.
+        """
         out = few_channels_out(self.body[-1], self.body[:-1](x)).float()
         if self.background is None:
             return torch.tanh(out)

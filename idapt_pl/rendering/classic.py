@@ -71,13 +71,19 @@ class FrameRenderer:
 
     def __call__(self, data: mujoco.MjData, out: np.ndarray | None = None) -> np.ndarray:
         """Render ``data``. Returns uint8 (size, size, 3), written into ``out`` if given."""
-        self._renderer.update_scene(data, camera=CAMERA)
-        return self._renderer.render(out=out)
+        self._open.update_scene(data, camera=CAMERA)
+        return self._open.render(out=out)
 
     def upload(self, texture: int) -> None:
-        """Take a texture of the model anew, after its pixels were edited."""
-        self._renderer._gl_context.make_current()
-        mujoco.mjr_uploadTexture(self._renderer._model, self._renderer._mjr_context, texture)
+        """Take a texture of the model, by its number, anew, after its pixels were edited."""
+        self._open._gl_context.make_current()
+        mujoco.mjr_uploadTexture(self._open._model, self._open._mjr_context, texture)
+
+    @property
+    def _open(self) -> mujoco.Renderer:
+        if self._renderer is None:
+            raise RuntimeError("this renderer was closed; make another one")
+        return self._renderer
 
     def close(self) -> None:
         """Free the GL context. Without the switch to it, another renderer's textures would be freed."""

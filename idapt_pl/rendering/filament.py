@@ -10,7 +10,7 @@ import functools
 import os
 import sys
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -98,7 +98,7 @@ class FilamentRenderer:
         context.wait_for_frame(context.render([self._request], [self._read]))
         return np.take(SRGB, self._picture, out=out, mode="clip")
 
-    def _fill(self, context) -> None:
+    def _fill(self, context: Any) -> None:
         """Give the engine the model. Each of these is needed by those after it, and nothing else keeps it alive."""
         from mujoco import mjrf
 
@@ -124,7 +124,7 @@ class FilamentRenderer:
                 setattr(self, name, None)
             FilamentRenderer._open = None
 
-    def _seen_from(self, data: mujoco.MjData):
+    def _seen_from(self, data: mujoco.MjData) -> Any:
         from mujoco import mjrf
 
         everything = mujoco.mjtCatBit.mjCAT_ALL
@@ -136,7 +136,7 @@ class FilamentRenderer:
 
 
 @functools.cache
-def _context():
+def _context() -> Any:
     """The process's one Filament engine."""
     from mujoco import mjrf
     from mujoco.experimental.studio import window  # noqa: F401  registers Filament's materials

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+from typing import TypeAlias
 
 import mujoco
 
@@ -13,12 +14,20 @@ from idapt_pl.rendering import filament
 from idapt_pl.rendering.classic import BlurredRenderer, FrameRenderer
 
 log = logging.getLogger(__name__)
+AnyRenderer: TypeAlias = FrameRenderer | filament.FilamentRenderer | BlurredRenderer
 
 
-def make_renderer(model: mujoco.MjModel, size: int) -> FrameRenderer | filament.FilamentRenderer | BlurredRenderer:
+def make_renderer(model: mujoco.MjModel, size: int) -> AnyRenderer:
     """The renderer that a model asks for, or the classic one where there is no Vulkan for Filament.
 
     ``IDAPT_RENDERER=classic`` in the environment asks for the classic one everywhere: it is many times faster.
+
+    Args:
+        model: compiled model with the task's camera.
+        size: height and width of a frame, pixels.
+
+    Raises:
+        RenderingUnavailable: if the machine has no working GL backend.
     """
     sharp, sigma = _sharp_renderer(model, size), blur_of(model)
     return BlurredRenderer(sharp, sigma) if sigma > 0 else sharp

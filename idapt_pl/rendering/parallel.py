@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -27,6 +28,16 @@ def usual_processes() -> int:
     """One for each core that this process may use but the one it runs on, within bounds."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(MOST_PROCESSES, cores - 1)
+
+
+class BatchRenderer(Protocol):
+    """Renders the frames of several simulations of one model."""
+
+    def __call__(self, data: Sequence[mujoco.MjData]) -> np.ndarray:
+        """Render. Returns uint8 (n, size, size, 3)."""
+
+    def close(self) -> None:
+        """Free what it renders with."""
 
 
 class ParallelRenderer:
@@ -52,14 +63,15 @@ class ParallelRenderer:
     def __call__(self, data: Sequence[mujoco.MjData]) -> np.ndarray:
         """Render. Returns uint8 (n, size, size, 3)."""
         shares = np.array_split(np.arange(len(data)), min(len(data), self._shares))
-        own = [] if self._elsewhere else shares.pop(0)
+        own = np.arange(0) if self._elsewhere else shares.pop(0)
         frames = np.empty((len(data), self._size, self._size, 3), np.uint8)
         processes = self._processes(len(shares))
         try:
             for process, share in zip(processes, shares, strict=True):
                 process.ask(self._file, self._size, [data[i] for i in share])
-            for i in own:
-                self._own(data[i], out=frames[i])
+            if self._own is not None:
+                for i in own:
+                    self._own(data[i], out=frames[i])
             for process, share in zip(processes, shares, strict=True):
                 process.answer(frames[share[0] : share[-1] + 1])
         except BaseException:  # what was asked for and not taken must not be taken for the next answer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import io
 import json
 import os
 import signal
@@ -11,11 +12,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO, NoReturn
 
 import mujoco
 import numpy as np
 
-from idapt_pl.rendering.make import make_renderer
+from idapt_pl.rendering.make import AnyRenderer, make_renderer
 
 POSES = (
     "xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat", "cam_xpos", "cam_xmat", "light_xpos",
@@ -32,51 +34,70 @@ class RenderProcess:
     """
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._requests: IO[bytes]
+        self._answers: io.BufferedReader
         self.drawn = 0  # since it was started
         atexit.register(self.close)
 
     def ask(self, model: Path, size: int, data: Sequence[mujoco.MjData]) -> None:
-        """Ask for one frame each of simulations of the model in a file. Ask again only after :meth:`answer`."""
-        if self._process is None:
-            self._start()
+        """Ask for one frame each of simulations. Ask again only after :meth:`answer`.
+
+        Args:
+            model: file of their model (MJB).
+            size: height and width of the frames, pixels.
+            data: the simulations.
+
+        Raises:
+            RuntimeError: if the process has ended.
+        """
+        process = self._process or self._start()
         self.drawn += len(data)
         request = {"model": str(model), "size": size, "frames": len(data)}
         try:
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._requests.write(json.dumps(request).encode() + b"\n")
             for d in data:
                 for name in POSES:
-                    self._process.stdin.write(getattr(d, name).tobytes())
-            self._process.stdin.flush()
+                    self._requests.write(getattr(d, name).tobytes())
+            self._requests.flush()
         except BrokenPipeError:
-            self._has_died()
+            self._has_died(process)
 
     def answer(self, out: np.ndarray) -> None:
-        """Take the frames that were asked for: into uint8 (n, size, size, 3), contiguous."""
-        if self._process.stdout.readinto(out) < out.nbytes:
-            self._has_died()
+        """Take the frames that were asked for: into uint8 (n, size, size, 3), contiguous.
+
+        Raises:
+            RuntimeError: if none were asked for, or the process has ended.
+        """
+        if self._process is None:
+            raise RuntimeError("this process was asked for no frames; ask before taking the answer")
+        if self._answers.readinto(out.data) < out.nbytes:
+            self._has_died(self._process)
 
     def close(self) -> None:
         """End it; the next request starts another."""
         if self._process is None:
             return
         process, self._process, self.drawn = self._process, None, 0
-        process.stdout.close()
+        self._answers.close()
         try:
-            process.stdin.close()
+            self._requests.close()
             process.wait(timeout=10)
         except (BrokenPipeError, subprocess.TimeoutExpired):
             process.kill()
             process.wait()
 
-    def _start(self) -> None:
+    def _start(self) -> subprocess.Popen[bytes]:
         path = os.pathsep.join(p or os.getcwd() for p in sys.path)
         env = os.environ | {"PYTHONPATH": path, "IDAPT_ONLY_RENDERS": "1"}
         command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
+        assert process.stdin is not None and isinstance(process.stdout, io.BufferedReader)  # as pipes are
+        self._process, self._requests, self._answers = process, process.stdin, process.stdout
+        return process
 
-    def _has_died(self) -> None:
-        code = self._process.wait()
+    def _has_died(self, process: subprocess.Popen[bytes]) -> NoReturn:
+        code = process.wait()
         self._process = None
         raise RuntimeError(
             f"a process that renders ended with code {code}"
@@ -98,18 +119,18 @@ def serve() -> None:
         asked = requests.read(each * request["frames"])  # all, before any answer: else both sides wait for each other
         for start in range(0, len(asked), each):
             _pose(poses, asked[start : start + each])
-            answers.write(render(data))
+            answers.write(render(data).data)
         answers.flush()
 
 
 def _pose(poses: Sequence[np.ndarray], values: bytes) -> None:
-    values = np.frombuffer(values)
-    for pose, part in zip(poses, np.split(values, np.cumsum([p.size for p in poses])[:-1]), strict=True):
-        pose.flat = part
+    parts = np.split(np.frombuffer(values), np.cumsum([p.size for p in poses])[:-1])
+    for pose, part in zip(poses, parts, strict=True):
+        pose.flat[:] = part
 
 
 @functools.lru_cache(maxsize=4)
-def _loaded(path: str, size: int) -> tuple[mujoco.MjData, object]:
+def _loaded(path: str, size: int) -> tuple[mujoco.MjData, AnyRenderer]:
     """A model's renderer, and data to show."""
     model = mujoco.MjModel.from_binary_path(path)
     return mujoco.MjData(model), make_renderer(model, size)

@@ -12,7 +12,11 @@ TASKS: dict[str, type[Task]] = {task.name: task for task in _ALL}
 
 
 def make_task(name: str) -> Task:
-    """A task by name; the error lists the names there are."""
+    """A task by name.
+
+    Raises:
+        ValueError: if there is none; the message lists the names there are.
+    """
     if name not in TASKS:
         raise ValueError(f"unknown task {name!r}; known tasks: {', '.join(TASKS)}")
     return TASKS[name]()

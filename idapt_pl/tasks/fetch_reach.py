@@ -19,7 +19,7 @@ from idapt_pl.tasks.task import Task
 COMMANDS = ("x", "y", "z", "gripper")
 HAND, GRIP = "robot0:gripper_link", "robot0:grip"
 FINGERS = ("robot0:r_gripper_finger_joint", "robot0:l_gripper_finger_joint")
-POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0])
+FETCH_POINTING_DOWN = np.array([1.0, 0.0, 1.0, 0.0])
 GRIPPER_START = (1.342, 0.749, 0.535)
 """Where the gripper is when an episode starts, to the millimetre [m]; cameras look at it."""
 
@@ -86,7 +86,7 @@ class FetchReach(Task):
         mujoco.mj_fwdActuation(model, data)
         hand, mocap = data.body(HAND), int(model.body("robot0:mocap").mocapid[0])
         data.mocap_pos[mocap] = hand.xpos + self.step_length * data.actuator_force[:3]
-        data.mocap_quat[mocap] = hand.xquat + POINTING_DOWN  # MuJoCo normalises the sum
+        data.mocap_quat[mocap] = hand.xquat + FETCH_POINTING_DOWN  # MuJoCo normalises the sum
         mujoco.mj_step(model, data, self.frame_skip)
         for finger in FINGERS:
             data.joint(finger).qpos = 0.0
@@ -143,6 +143,6 @@ def start_state() -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_forward(model, data)
     mocap = int(model.body("robot0:mocap").mocapid[0])
     data.mocap_pos[mocap] = data.site(GRIP).xpos + np.array([-0.498, 0.005, -0.431 + 0.2])
-    data.mocap_quat[mocap] = POINTING_DOWN
+    data.mocap_quat[mocap] = FETCH_POINTING_DOWN
     mujoco.mj_step(model, data, 10 * FetchReach.frame_skip)
     return data.qpos.copy(), data.qvel.copy()

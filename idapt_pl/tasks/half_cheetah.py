@@ -39,7 +39,7 @@ class HalfCheetah(Locomotion):
 
     def base(self) -> mujoco.MjSpec:
         spec = super().base()
-        scale_total_mass(spec, 14.0)  # what the model's own settotalmass asks for; MuJoCo is giving that word up
+        scale_total_mass(spec, 14.0)  # what the model's own settotalmass asks for, which MuJoCo deprecates
         # A fast policy runs off Gymnasium's 40 m of floor, of which only the picture ends.
         spec.geom("floor").size = (400, 400, 40)
         spec.material("MatPlane").texrepeat = (600, 600)

@@ -31,8 +31,8 @@ class InvertedPendulum(Task):
         return spec
 
     def domains(self) -> dict[str, Domain]:
-        # The source mass is set explicitly: 4.895 kg is what MuJoCo once computed for this capsule;
-        # today it computes 5.019 kg.
+        # Set explicitly, since MuJoCo's versions differ on this capsule: 4.895 kg is the paper's, 5.019 kg what
+        # MuJoCo 3 computes.
         camera = CameraPose(CAMERA, azimuth=90, elevation=-45, distance=2.04, lookat=(0, 0, 0))
         source = Domain("source", self.base, (camera, BodyMass("pole", 4.895)))
         easy = source.with_effects(

@@ -21,7 +21,7 @@ CLOSED = {"r_close": 0.04, "l_close": -0.03}  # m, the ends of their ranges
 TIPS = ("rightEndEffector", "leftEndEffector")
 PUCK_START = (0.5318, -0.0239, 0.84)
 GOAL_START = (0.76, 0.10, 0.82)  # (0.56, 0) + (0.2, 0.1) on the table top
-POINTING_DOWN = (0.5, -0.5, 0.5, 0.5)
+SAWYER_POINTING_DOWN = (0.5, -0.5, 0.5, 0.5)
 """Of the hand: the fingers point down and lie along the world's x axis."""
 
 
@@ -100,7 +100,7 @@ class SawyerPush(Task):
     def pull(self, model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray) -> None:
         """Put the mocap body that the hand follows somewhere [m]."""
         mocap = mocap_index(model, "mocap")
-        data.mocap_pos[mocap], data.mocap_quat[mocap] = position, POINTING_DOWN
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = position, SAWYER_POINTING_DOWN
 
     def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
         data.ctrl[:] = action

@@ -45,7 +45,7 @@ class Task(ABC):
 
     @abstractmethod
     def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
-        """Draw a start state into ``data.qpos``, ``data.qvel``."""
+        """Draw a start state into ``data.qpos``, ``data.qvel``, which hold the model's defaults."""
 
     @abstractmethod
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -66,15 +66,15 @@ class Task(ABC):
 
     @abstractmethod
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
-        """Reward and termination after ``frame_skip`` physics steps with ``action``."""
+        """Reward and termination after ``frame_skip`` physics steps with ``action`` (nu,)."""
 
     def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
-        """Hold an action, within the actuators' ranges, for ``frame_skip`` physics steps."""
+        """Hold an action (nu,), within the actuators' ranges, for ``frame_skip`` physics steps."""
         data.ctrl[:] = action
         mujoco.mj_step(model, data, self.frame_skip)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
-        """Play one control step. Returns its reward and whether the task is over."""
+        """Play one control step with an action (nu,). Returns its reward and whether the task is over."""
         total, over = 0.0, False
         for _ in range(self.action_repeat):
             self.play(model, data, action)
@@ -85,7 +85,11 @@ class Task(ABC):
         return total, over
 
     def success(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-        """Whether the goal is reached; for tasks whose metric is success."""
+        """Whether the goal is reached.
+
+        Raises:
+            NotImplementedError: of tasks whose metric is not success.
+        """
         raise NotImplementedError
 
     def period(self, model: mujoco.MjModel) -> float:
@@ -93,11 +97,19 @@ class Task(ABC):
         return model.opt.timestep * self.frame_skip * self.action_repeat
 
     def backwards(self) -> Task:
-        """The same task paid for going the other way; its policies give task-agnostic data (Section V)."""
+        """The same task paid for going the other way; its policies give task-agnostic data (Section V).
+
+        Raises:
+            ValueError: if the task has no direction.
+        """
         raise ValueError(f"task {self.name!r} has no direction, so there is no policy 'backwards' for it")
 
     def domain(self, name: str) -> Domain:
-        """One domain by name; the error lists the names there are."""
+        """One domain by name.
+
+        Raises:
+            ValueError: if there is none; the message lists the names there are.
+        """
         domains = self.domains()
         if name not in domains:
             raise ValueError(f"task {self.name!r} has no domain {name!r}; it has: {', '.join(domains)}")

@@ -28,8 +28,8 @@ class Walker2d(Locomotion):
     expert = ExpertRecipe(steps=100_000)
 
     def domains(self) -> dict[str, Domain]:
-        # The source mass is set explicitly: 3.534 kg is what MuJoCo once computed for this capsule;
-        # today it computes 3.665 kg.
+        # Set explicitly, since MuJoCo's versions differ on this capsule: 3.534 kg is the paper's, 3.665 kg what
+        # MuJoCo 3 computes.
         camera = CameraFrame(CAMERA, position=(0, -3, -0.25), xyaxes=(1, 0, 0, 0, 0, 1))
         source = Domain("source", self.base, (camera, BodyMass("torso", 3.534)))
         easy = source.with_effects(

@@ -7,7 +7,8 @@ import pytest
 
 from idapt_pl.effects import Domain, View
 from idapt_pl.effects.visual import Blur
-from idapt_pl.envs import GroundedEnv, VectorImageEnv
+from idapt_pl.envs import BlindTarget, GroundedEnv, StatesOnly, VectorImageEnv
+from idapt_pl.envs.ledger import Ledger
 
 K, SIZE, N = 3, 16, 2
 
@@ -181,6 +182,12 @@ def test_observations_and_actions_have_the_declared_spaces(make):
     assert env.observation_space["state"].contains(obs["state"])
     assert env.single_action_space.low == -100 and env.single_action_space.high == 100
     assert env.dt == pytest.approx(0.02)
+
+
+def test_wrappers_tell_the_control_period_of_what_they_wrap(make, tmp_path):
+    env = make(n=1)
+    grounded, blind = GroundedEnv(env), BlindTarget(env, Ledger(tmp_path / "ledger.json"), 0, "training")
+    assert grounded.dt == StatesOnly(grounded).dt == blind.dt == env.dt
 
 
 def test_view_shows_the_middle_of_the_image(make):

@@ -56,6 +56,14 @@ def test_random_crop_takes_one_window_of_each_stack_anywhere_in_it():
         assert torch.equal(stack[0, :, :, 0], grid[top : top + 8, left : left + 8])
 
 
+def test_random_crop_takes_windows_of_any_shape():
+    pixels = torch.arange(100, dtype=torch.uint8).view(1, 1, 10, 10, 1).expand(200, 1, 10, 10, 3)
+    crops = random_crop(pixels, (9, 4))
+    assert crops.shape == (200, 1, 9, 4, 3)
+    assert set(crops[:, 0, 0, 0, 0].tolist()) == {10 * top + left for top in range(2) for left in range(7)}
+    assert (crops[:, 0, 1:, :, 0] - crops[:, 0, :-1, :, 0] == 10).all()
+
+
 def test_keypoints_find_where_the_activation_is():
     x = torch.full((1, 2, 5, 9), -50.0)
     x[0, 0, 4, 0] = 50.0  # bottom left
@@ -144,6 +152,11 @@ def test_generator_keeps_the_image_size_and_range(size):
     image = torch.rand(2, 3, size, size) * 2 - 1
     fake = ResnetGenerator(3, width=4, blocks=1)(image)
     assert fake.shape == image.shape and fake.abs().max() <= 1
+
+
+def test_generator_without_a_background_cannot_start_from_an_image():
+    with pytest.raises(ValueError, match="has no background"):
+        ResnetGenerator(3, 4, 1).start_from(torch.zeros(3, 16, 16))
 
 
 def test_generator_treats_each_image_of_a_batch_on_its_own():

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from idapt_pl.effects.visual import engine_of
-from idapt_pl.rendering import classic, filament
+from idapt_pl.rendering import filament, make
 from idapt_pl.rendering.classic import FrameRenderer
 from idapt_pl.rendering.make import make_renderer
 from idapt_pl.tasks import make_task
@@ -15,9 +15,9 @@ from idapt_pl.tasks import make_task
 PROGRAM = """
 import hashlib, numpy as np, idapt_pl
 from contextlib import closing
-from idapt_pl.domains import parallel
-from idapt_pl.domains.filament import FilamentRenderer
 from idapt_pl.envs import VectorImageEnv
+from idapt_pl.rendering import parallel
+from idapt_pl.rendering.filament import FilamentRenderer
 from idapt_pl.tasks import make_task
 task = make_task("fetch_reach")
 one, two = (VectorImageEnv(task, task.domain("hard"), 1, size, 1) for size in (32, 24))
@@ -25,7 +25,7 @@ first = one.reset(seed=0)[0]["pixels"]
 second = two.reset(seed=0)[0]["pixels"]          # two alive at a time, in turn
 with closing(FilamentRenderer(one.model, 32)) as here:
     assert (one.reset(seed=0)[0]["pixels"][0, 0] == here(one.data[0])).all(), "drawn here or there"
-parallel.LIFETIME, pid = 3, parallel._others[0]._process.pid
+parallel.FRAMES_PER_PROCESS, pid = 3, parallel._others[0]._process.pid
 again = one.reset(seed=0)[0]["pixels"]
 assert parallel._others[0]._process.pid != pid, "Filament keeps memory of every frame, so processes are replaced"
 moved = one.step(np.ones((1, 4), np.float32))[0]["pixels"]
@@ -59,7 +59,7 @@ def test_filament_draws_the_same_state_the_same_way_in_each_process():
 def test_without_filament_the_classic_renderer_draws_the_same_room_and_says_so(caplog):
     model = make_task("sawyer_push").domain("hard").compile()
     assert engine_of(model) == "filament" and engine_of(make_task("sawyer_push").domain("easy").compile()) == "classic"
-    classic._warn_once.cache_clear()  # other tests of this process may have been told
+    make._warn_once.cache_clear()  # other tests of this process may have been told
     with caplog.at_level("WARNING"):
         render = make_renderer(model, 16)
     assert isinstance(render, FrameRenderer) and "IDAPT_RENDERER=classic" in caplog.text

@@ -94,6 +94,18 @@ def test_a_process_that_was_killed_is_told_of_and_replaced(process, file, model,
     np.testing.assert_array_equal(drawn(process, file, states(model, 3)), expected)
 
 
+def test_answers_that_were_not_asked_for_are_refused(process):
+    with pytest.raises(RuntimeError, match="ask before"):
+        process.answer(np.empty((1, SIZE, SIZE, 3), np.uint8))
+
+
+def test_a_closed_renderer_says_so(model):
+    render = FrameRenderer(model, SIZE)
+    render.close()
+    with pytest.raises(RuntimeError, match="was closed"):
+        render(mujoco.MjData(model))
+
+
 def test_an_error_here_leaves_no_stale_frames_for_the_next_call(cart, model, expected, monkeypatch):
     with closing(ParallelRenderer(model, SIZE, processes=1)) as render:
         data = states(model, 3)
@@ -104,7 +116,7 @@ def test_an_error_here_leaves_no_stale_frames_for_the_next_call(cart, model, exp
 
 
 def test_models_drawn_elsewhere_change_processes_after_their_lifetime(model, expected, monkeypatch):
-    monkeypatch.setattr(parallel, "LIFETIME", 6)
+    monkeypatch.setattr(parallel, "FRAMES_PER_PROCESS", 6)
     with closing(ParallelRenderer(model, SIZE)) as render:
         render._elsewhere, pids = True, []  # as where Filament draws
         monkeypatch.setattr(parallel, "_others", [])
@@ -126,7 +138,7 @@ def test_it_ends_with_the_program_that_started_it(file):
     program = f"""
 import mujoco, numpy as np, os, signal, idapt_pl
 from pathlib import Path
-from idapt_pl.domains.render_process import RenderProcess
+from idapt_pl.rendering.process import RenderProcess
 model = mujoco.MjModel.from_binary_path({str(file)!r})
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
