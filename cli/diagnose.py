@@ -39,8 +39,10 @@ from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.wording import format_number, phrase_at
+from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
+from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.run import Run
 
 EXAMPLES = """examples:
@@ -111,7 +113,7 @@ def main(args: list[str]) -> int:
         model, trajectories, how = source.spec(), images.readings.target, images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()
     if o.run is not None and images.readings.calibration.velocities_unreliable:
-        print_forecast_diagnosis(*diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
+        print_forecast_diagnosis(diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:
@@ -194,10 +196,9 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
         Console().print(words, soft_wrap=True)
 
 
-def print_forecast_diagnosis(report: dict, verdict: Sequence[str], model: mujoco.MjModel, out: Path) -> None:
-    """The verdict and the effects of a diagnosis by forecasts, and where the rest is."""
-    effects = [EffectEstimate.from_dict(e) for e in report["effects"]]
-    print_findings(verdict, effects_tables(effects, model), out, {})
+def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:
+    """The verdict and the effects of a diagnosis by forecasts, and where the rest is; ``model`` is the source's."""
+    print_findings(forecast_verdict(diagnosis, model), effects_tables(diagnosis.believed, model), out, {})
 
 
 def print_findings(verdict: Sequence[str], tables: Sequence[Table], out: Path, notes: Mapping[str, str]) -> None:

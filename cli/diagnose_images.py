@@ -22,13 +22,13 @@ from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.wording import format_number
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.files import write_atomically
+from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.image_diagnosis.calibration import CalibratedReadings, read_calibrated
 from idapt_pl.image_diagnosis.forecast_diagnosis import diagnose_by_forecasts
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.report.forecast_files import write_forecast_diagnosis
-from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.run import Run
 
 
@@ -68,17 +68,14 @@ def read_images(run: Run, data: Path) -> ImageRecordings:
 
 def diagnose_images_by_forecasts(
     run: Run, images: ImageRecordings, o: argparse.Namespace, declared: Sequence[Effect]
-) -> tuple[dict, list[str]]:
-    """Diagnose by forecasts, for a sensor that cannot tell how fast things move.
+) -> ImageDiagnosis:
+    """Diagnose by forecasts, for a sensor that cannot tell how fast things move; write its files.
 
     Args:
         run: whose estimator reads the images.
         images: as read.
         o: arguments of ``idapt diagnose``.
         declared: effects known already.
-
-    Returns:
-        The report and the verdict in words.
 
     Raises:
         ValueError: if episodes were chosen, of which forecasts take the first.
@@ -102,8 +99,8 @@ def diagnose_images_by_forecasts(
             source, images.sensor, images.G, [o.data], [images.control], options, o.seed, make_env, images.readings
         )
     names, seconds = (o.run.name, o.data.name), time.perf_counter() - started
-    report = write_forecast_diagnosis(result, worlds.source_domain, declared, o.out, names, seconds)
-    return report, forecast_verdict(report, source.compile())
+    write_forecast_diagnosis(result, worlds.source_domain, declared, o.out, names, seconds)
+    return result
 
 
 def report_visual_effects(run: Run, data: Path, out: Path, seed: int) -> None:

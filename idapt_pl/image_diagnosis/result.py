@@ -155,6 +155,16 @@ class ImageDiagnosis:
         """Effects found by windows that too little goes with; forecasts look for none further."""
         return self.evidence.negligible if isinstance(self.evidence, WindowEvidence) else ()
 
+    @property
+    def believed(self) -> tuple[EffectEstimate, ...]:
+        """Estimates of the effects that were added to the source."""
+        return tuple(filter(self.is_believed, self.estimates))
+
+    @property
+    def doubted(self) -> tuple[EffectEstimate, ...]:
+        """Estimates of those that were found and not believed."""
+        return tuple(e for e in self.estimates if not self.is_believed(e))
+
     def is_believed(self, estimate: EffectEstimate) -> bool:
         """Whether an effect was added to the source."""
         return estimate.key in {(e.name, e.target) for e in self.effects}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import mujoco
 from torch.utils.tensorboard import SummaryWriter
 
 from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.files import write_atomically, write_json, write_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
@@ -26,7 +26,7 @@ def write_forecast_diagnosis(
     folder: Path,
     names: tuple[str, str],
     runtime: float,
-) -> dict:
+) -> None:
     """Write everything that a diagnosis by forecasts leaves behind.
 
     Args:
@@ -36,9 +36,6 @@ def write_forecast_diagnosis(
         folder: made if it is not there; also TensorBoard's log folder.
         names: of the run and the recordings, for the page's title.
         runtime: s.
-
-    Returns:
-        The report, as in report.json.
     """
     model, report = source.compile(), forecast_report(diagnosis, declared, runtime)
     write_json(folder / "report.json", report)
@@ -48,7 +45,6 @@ def write_forecast_diagnosis(
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_forecast_diagnosis(folder, diagnosis, report, model)
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))
-    return report
 
 
 def log_forecast_diagnosis(folder: Path, diagnosis: ImageDiagnosis, report: dict, model: mujoco.MjModel) -> None:
@@ -58,7 +54,7 @@ def log_forecast_diagnosis(folder: Path, diagnosis: ImageDiagnosis, report: dict
     with SummaryWriter(folder) as writer:
         for name in ("before", "after", "noise_floor", "removed_share"):
             writer.add_scalar(f"error/{name}", report["error"][name], 0)
-        writer.add_text("verdict", " ".join(forecast_verdict(report, model)), 0)
+        writer.add_text("verdict", " ".join(forecast_verdict(diagnosis, model)), 0)
         writer.add_figure("forecasts", forecast_figure(diagnosis.forecast_evidence.example), 0)
 
 
@@ -72,8 +68,8 @@ def forecast_report(diagnosis: ImageDiagnosis, declared: Sequence[Effect], runti
     """
     horizon = FORECAST_STEPS * diagnosis.forecast_evidence.example.dt
     return {
-        "schema": "idapt.diagnosis/1",
-        "verdict": "effects_found" if diagnosis.effects else "no_missing_effect",
+        "schema": DiagnosisResult.SCHEMA,
+        "verdict": (Verdict.EFFECTS_FOUND if diagnosis.effects else Verdict.NO_MISSING_EFFECT).value,
         "error": {
             "metric": "energy score of forecasts through images, "
             f"the first {FORECAST_STEPS} control steps of an episode",
@@ -85,9 +81,9 @@ def forecast_report(diagnosis: ImageDiagnosis, declared: Sequence[Effect], runti
             "noise_floor": diagnosis.before / diagnosis.excess,
             "ceiling": None,
             "removed_share": diagnosis.explained,
-            "per_channel": {name: asdict(c) for name, c in diagnosis.target.items()},
+            "per_channel": {name: c.to_dict() for name, c in diagnosis.target.items()},
         },
-        "effects": [e.to_dict() for e in diagnosis.estimates if diagnosis.is_believed(e)],
+        "effects": [e.to_dict() for e in diagnosis.believed],
         "declared": [e.to_dict() for e in declared],
         "candidates": [
             {
@@ -98,8 +94,7 @@ def forecast_report(diagnosis: ImageDiagnosis, declared: Sequence[Effect], runti
                 "held_out_gain": None,
                 "rejected_because": "forecasts from other resets are not surely better with it",
             }
-            for e in diagnosis.estimates
-            if not diagnosis.is_believed(e)
+            for e in diagnosis.doubted
         ],
         "signature": "",
         "next_experiment": "",

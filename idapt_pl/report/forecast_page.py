@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from idapt_pl.diagnosis.repaired import RepairedModel
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.report.diagnosis_page import TONES, model_difference_section
@@ -20,31 +20,26 @@ from idapt_pl.report.found_effects import (
 from idapt_pl.report.html import document, header, paragraph, row, section, table
 
 FORECAST_HEADLINES = {
-    "effects_found": "Found what the source lacks",
-    "no_missing_effect": "No effect makes forecasts surely better",
+    Verdict.EFFECTS_FOUND: "Found what the source lacks",
+    Verdict.NO_MISSING_EFFECT: "No effect makes forecasts surely better",
 }
 
 
-def forecast_verdict(report: dict, model: mujoco.MjModel) -> list[str]:
-    """The verdict as sentences, the most important first."""
-    error = report["error"]
-    level = f"{format_number(error['noise_floor'])} where the source forecasts itself"
-    if not report["effects"]:
+def forecast_verdict(diagnosis: ImageDiagnosis, model: mujoco.MjModel) -> list[str]:
+    """The verdict as sentences, the most important first; ``model`` is the source's."""
+    before, after = format_number(diagnosis.before), format_number(diagnosis.after)
+    level = f"{format_number(diagnosis.before / diagnosis.excess)} where the source forecasts itself"
+    if not diagnosis.effects:
         return [
             "None of the effects tried makes what is read of these images better to forecast than chance would.",
-            f"The energy score of the source's forecasts is {format_number(error['before'])}, and {level}; the "
-            "difference may be what G and the sensor get wrong in these images, or an effect that was not tried.",
+            f"The energy score of the source's forecasts is {before}, and {level}; the difference may be what G and "
+            "the sensor get wrong in these images, or an effect that was not tried.",
         ]
-    before, after, them = (
-        format_number(error["before"]),
-        format_number(error["after"]),
-        "it" if len(report["effects"]) == 1 else "them",
-    )
-    effects = [EffectEstimate.from_dict(e) for e in report["effects"]]
+    them = "it" if len(diagnosis.believed) == 1 else "them"
     return [
-        lacking_sentence(effects, model),
+        lacking_sentence(diagnosis.believed, model),
         f"With {them}, the energy score of forecasts is {after} instead of {before} (less is better; {level}).",
-        *undecided_sentences(effects),
+        *undecided_sentences(diagnosis.believed),
     ]
 
 
@@ -52,7 +47,7 @@ def forecast_page(
     diagnosis: ImageDiagnosis, report: dict, repaired: RepairedModel, model: mujoco.MjModel, names: tuple[str, str]
 ) -> str:
     """The whole page."""
-    (first, *more), title = forecast_verdict(report, model), FORECAST_HEADLINES[report["verdict"]]
+    (first, *more), title = forecast_verdict(diagnosis, model), FORECAST_HEADLINES[report["verdict"]]
     rows = effect_rows(diagnosis, model, "in patched.xml")
     forecasts = (
         residual_paragraph(diagnosis),

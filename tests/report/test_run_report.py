@@ -12,17 +12,15 @@ from conftest import TINY, numbered_episodes
 
 from cli.main import main
 from datamodules import write_trajectories
+from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointArmature
 from idapt_pl.image_diagnosis.result import (
-    ChannelError,
-    EffectEstimate,
     EnsembleBand,
     ForecastChannel,
     ForecastEvidence,
     ForecastExample,
     ImageDiagnosis,
-    ParameterEstimate,
     WindowEvidence,
 )
 from idapt_pl.report.run_pictures import spread_stacks, translated_examples
