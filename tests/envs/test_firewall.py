@@ -121,6 +121,7 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/baselines/oracle.py", "rewarded_target"): "the oracle is trained in the target, as a reference",
     ("idapt_pl/rl/collect.py", "unwrapped"): "asks for the control period; wrappers tell it themselves (dt)",
     ("idapt_pl/report/gallery.py", ".domains()"): "pictures of all domains, for people",
+    ("idapt_pl/report/domain_comparison.py", ".domains()"): "a table of what differs between domains, for people",
     ("idapt_pl/tasks/task.py", ".domains()"): "a task finds its domains by name",
     ("cli/evaluate.py", "rewarded_target"): EVALUATION,
     ("cli/gallery.py", "target_domain"): "only its name, beside a picture",
