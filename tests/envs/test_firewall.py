@@ -119,7 +119,6 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/evaluation/paired.py", "rewarded_target"): EVALUATION,
     ("idapt_pl/evaluation/paired.py", "unwrapped"): EVALUATION + "; states are put into its source, not read",
     ("idapt_pl/baselines/oracle.py", "rewarded_target"): "the oracle is trained in the target, as a reference",
-    ("idapt_pl/rl/collect.py", "unwrapped"): "asks for the control period; wrappers tell it themselves (dt)",
     ("idapt_pl/report/gallery.py", ".domains()"): "pictures of all domains, for people",
     ("idapt_pl/report/domain_comparison.py", ".domains()"): "a table of what differs between domains, for people",
     ("idapt_pl/tasks/task.py", ".domains()"): "a task finds its domains by name",
