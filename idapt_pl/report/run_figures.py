@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -48,10 +50,12 @@ def forecast_figure(example: ForecastExample) -> Figure:
     """One episode as read of the target, and ensembles that forecast it without and with effects; a panel a channel."""
     channels, changed = example.channels, any(c.before != c.after for c in example.channels.values())
     bands = {"before": "the source", "after": "with the effects"} if changed else {"before": "the source"}
+    shown = worst_forecast_channels(channels)
+    rows = math.ceil(len(shown) / 2)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 4.6), layout="constrained")
-        axes = figure.subplots(2, 2, sharex=True).ravel()
-        for axis, name in zip(axes, worst_forecast_channels(channels), strict=False):
+        figure = Figure(figsize=(8.6, 1.0 + 1.8 * rows), layout="constrained")
+        axes = figure.subplots(rows, 2, sharex=True, squeeze=False).ravel()
+        for axis, name in zip(axes, shown, strict=False):
             c = channels[name]
             time = example.dt * np.arange(len(c.read))
             for (key, label), colour in zip(bands.items(), (BEFORE, AFTER), strict=False):
@@ -60,8 +64,10 @@ def forecast_figure(example: ForecastExample) -> Figure:
                 axis.plot(time, band.mean, color=colour, lw=1.6, label=f"{label} (band: all of the ensemble)")
             axis.plot(time, c.read, ".", color=MEASURED, ms=4, label="read of the target")
             axis.set_title(f"{escape_mathtext(name)} ({c.unit})", loc="left", fontsize=10)
-        for axis in axes[2:]:
+        for axis in axes[-2:]:
             axis.set_xlabel("time in the episode (s)")
+        for axis in axes[len(shown) :]:
+            axis.remove()
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=9)
     return figure
