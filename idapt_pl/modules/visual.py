@@ -22,9 +22,10 @@ from datamodules.stacks import FrameStacks
 from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.manual import ManualModule, fast_precision
+from idapt_pl.modules.weight_average import warmed_up_average
 from idapt_pl.nets.contrastive import PatchProjector
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import height_width, jitter, mean_images, stack_channels, to_float, to_pixels
+from idapt_pl.nets.images import height_width, in_one_pass, jitter, mean_images, stack_channels, to_float, to_pixels
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
 SMALLEST = 24
@@ -306,10 +307,10 @@ class VisualTransformation(ManualModule):
         # One pass through each net for all that goes in: the batch is cheaper than the calls.
         older = self.older_frames(source)
         same_S, same_T = (real_S, real_T) if w.identity_weight else (None, None)
-        to_T = through(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
+        to_T = in_one_pass(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
         to_S: dict[str, Tensor | None] = {}
         if self.G_back is not None:
-            to_S = through(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
+            to_S = in_one_pass(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
         fake_T, fake_S = to_T["S"], to_S.get("T")
         parts = {"g_target": gan(self.D_T(fake_T), True)}
         if fake_S is not None and self.D_S is not None:
@@ -418,18 +419,3 @@ class VisualTransformation(ManualModule):
             return min(1.0, 2.0 * (1.0 - self.share_done(step)))
 
         return [opt_g, opt_d], [torch.optim.lr_scheduler.LambdaLR(o, constant_then_linear) for o in (opt_g, opt_d)]
-
-
-def through(net: torch.nn.Module, parts: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
-    """Images of several kinds through a net in one pass; None stays None."""
-    given = {name: images for name, images in parts.items() if images is not None}
-    out = net(torch.cat(list(given.values()))).split([len(images) for images in given.values()])
-    return dict.fromkeys(parts) | dict(zip(given, out, strict=True))
-
-
-@torch.no_grad()
-def warmed_up_average(decay: float, averages: list[Tensor], currents: list[Tensor], updates: Tensor) -> None:
-    """A step of the exponential moving average, quick at first so that the initial weights are forgotten."""
-    share = 1 - min(decay, float((1 + updates) / (10 + updates)))
-    for average, current in zip(averages, currents, strict=True):
-        average.lerp_(current, share)
