@@ -63,7 +63,7 @@ class WindowStarts:
 
 
 def cut_windows(qpos: np.ndarray, actions: np.ndarray, first: np.ndarray, length: int, stride: int) -> MatchingWindows:
-    """Cut sightings of whole episodes into windows that do not cross an episode's end.
+    """Cut what was seen of whole episodes into windows that do not cross an episode's end.
 
     Args:
         qpos: of every observation, (N, nq).
