@@ -1,6 +1,8 @@
 """The pages: short where they must be, links that lead somewhere, figures that have a table behind them."""
 
 import re
+import subprocess
+import sys
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -115,6 +117,14 @@ def test_sentences_are_short(page):
 def test_tables_behind_the_figures_exist(page):
     missing = [n for n in RESULT.findall(page.read_text()) if not any(ROOT.glob(n))]
     assert not missing
+
+
+def test_the_site_builds_and_all_its_links_lead_somewhere(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, f"{' '.join(command[1:])}:\n{done.stdout}{done.stderr}"
+    api = (tmp_path / "site/reference/api/index.html").read_text(encoding="utf-8")
+    assert "idapt_pl.run.Run" in api and "idapt_pl.diagnosis.search.diagnose" in api, "docstrings are in it"
 
 
 def test_every_page_is_in_the_site():
