@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import lightning as L
@@ -12,12 +14,14 @@ from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
+from cli.aside import OtherProcesses, processes_beside
 from cli.provenance import claim, write_provenance
 from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
 from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run, RunConfig, without_retired
 from idapt_pl.stage import stage_trainer_settings
+from idapt_pl.stages.aside import Aside, in_turn
 
 
 class StageProgressBar(TQDMProgressBar):
@@ -35,7 +39,8 @@ class StageProgressBar(TQDMProgressBar):
 class GroundingCLI(LightningCLI):
     """One config key for each thing there is: the run, its schedule, the four modules, the Trainer."""
 
-    def __init__(self, args: list[str] | Namespace) -> None:
+    def __init__(self, args: list[str] | Namespace, shows_bars: bool | None = None) -> None:
+        self.shows_bars = sys.stderr.isatty() if shows_bars is None else shows_bars
         sys.argv = ["idapt fit"]  # LightningCLI warns when it is given arguments beside the process's own
         super().__init__(
             args=args,
@@ -53,17 +58,21 @@ class GroundingCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         self.config_init = self.parser.instantiate_classes(self.config)
 
-    def run(self) -> Run:
-        """The run that the config describes."""
-        return Run.create(RunConfig.from_namespace(self.config_init), self.trainer_for)
+    def run(self, aside: Aside | None = None) -> Run:
+        """The run that the config describes; by default its work is set aside as the config says."""
+        config = RunConfig.from_namespace(self.config_init)
+        if aside is None:
+            processes = processes_beside(config.side_by_side)
+            aside = OtherProcesses(config.folder, processes) if processes else in_turn
+        return Run.create(config, self.trainer_for, aside)
 
     def trainer_for(self, folder: Path, batches: int) -> L.Trainer:
         """A fresh Trainer for one stage; its metrics go to the stage's folder."""
         step, name = folder.parent.name, folder.name
         return self.instantiate_trainer(
             logger=[TensorBoardLogger(folder, name="", version=""), CSVLogger(folder, name="", version="")],
-            callbacks=[StageProgressBar(f"{step} {name}")] if sys.stderr.isatty() else [],
-            **stage_trainer_settings(folder, batches),
+            callbacks=[StageProgressBar(f"{step} {name}")] if self.shows_bars else [],
+            **stage_trainer_settings(folder, batches, self.shows_bars),
         )
 
 
@@ -77,17 +86,34 @@ def current(argument: str) -> str:
     return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
 
 
+def open_aside(folder: Path, aside: Aside) -> Run:
+    """The run of a folder as ``idapt fit`` runs it, with one thread and no bar, for a process that works beside it."""
+    alone = [f"--run_dir={folder}", "--threads=1", "--render_processes=0"]
+    return GroundingCLI(["--config", str(folder / "config.yaml"), *alone], shows_bars=False).run(aside)
+
+
+@contextmanager
+def ended(aside: Aside) -> Iterator[None]:
+    """Leave no process behind."""
+    try:
+        yield
+    finally:
+        if isinstance(aside, OtherProcesses):
+            aside.close()
+
+
 def main(args: list[str]) -> int:
     """Run ``idapt fit``."""
     cli = GroundingCLI([current(a) for a in args])
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
-    with claim(run.folder):
+    with claim(run.folder), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
-        summary = run.grounding.run()
+        evaluations = run.grounding.run()
+        summary = run.evaluation.summary(evaluations)
         if run.config.oracle:
             train_oracle(run.grounding)
-            summary = run.evaluation.summary(run.config.schedule.grounding_steps)
+            summary = run.evaluation.summary(evaluations)
         print_summary(summary, run.folder, write_run_report(run))
     return 0

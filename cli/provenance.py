@@ -22,7 +22,8 @@ from idapt_pl.rendering.make import filament_is_used
 from idapt_pl.run import without_retired
 
 CHANGE_NOTHING = {
-    "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers", "render_processes",
+    "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers",
+    "render_processes", "threads", "side_by_side",
 }  # fmt: skip
 """Keys that may differ in a resumed run."""
 

@@ -23,7 +23,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     repaired = any(e["step"] == 0 for e in summary["effects"])
     table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", f"{summary['visual_only']:.1f}")
     for k, value in enumerate(summary["grounded"], 1):
-        table.add_row(f"IDAPT, grounding step {k}", f"{value:.1f}")
+        same = " (settled: the policy before)" if k == summary["settled"] else ""
+        table.add_row(f"IDAPT, grounding step {k}{same}", f"{value:.1f}")
     table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
     console = Console()
     console.print(table)

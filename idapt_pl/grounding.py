@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import Policy
+from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.collection import explorer, on_policy, record_source, record_target, source_teacher
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.dynamics import fit_F
 from idapt_pl.stages.encoder import fit_encoder
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
@@ -34,6 +38,7 @@ class Grounding:
         G: source images to target images, with P^T.
         F: target actions to source actions; None is the identity.
         pi: the policy.
+        report: waits for the measurements of the step, and gives them.
     """
 
     D_S: tuple[Path, ...]
@@ -42,6 +47,7 @@ class Grounding:
     G: VisualTransformation
     F: ActionTransformation | None
     pi: AsymmetricSAC
+    report: Callable[[], dict]
 
 
 class IterativeGrounding:
@@ -55,6 +61,7 @@ class IterativeGrounding:
         evaluation: measures every step; nothing here depends on what it finds.
         schedule: what is done, and for how long.
         effects: whether effects are sought that the source lacks.
+        aside: starts what the rest does not wait for: the source policy beside G, measurements beside the next step.
 
     Raises:
         ValueError: if the exploration needs a teacher and there is none.
@@ -66,7 +73,9 @@ class IterativeGrounding:
         evaluation: Evaluation,
         schedule: Schedule,
         effects: DiscoverySettings = NO_DISCOVERY,
+        aside: Aside = in_turn,
     ) -> None:
+        self.aside = aside
         self.context, self.evaluation, self.schedule = context, evaluation, schedule
         self.repair = SourceRepair(context, effects, self.record_control)
         self.rollback = Rollback(context.worlds, context.stages, schedule.rollback)
@@ -76,12 +85,15 @@ class IterativeGrounding:
                 "give teacher.steps and teacher.dagger, or explore by babble or random"
             )
 
-    def run(self) -> dict:
-        """Run Algorithm 1, or what is left of it. Returns the summary (see ``summary.json``)."""
-        grounding = self.begin()
+    def run(self) -> list[dict]:
+        """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
+        done = [self.begin()]
         for k in range(1, self.schedule.grounding_steps + 1):
-            grounding = self.step(k, grounding)
-        return self.evaluation.summary(self.schedule.grounding_steps)
+            D_T = (*done[-1].D_T, record_target(self.context, k, on_policy(done[-1].pi), self.schedule.interactions))
+            if self.settled(k, done[-1], D_T):
+                break
+            done.append(self.step(k, done[-1], D_T))
+        return [grounding.report() for grounding in done]
 
     def begin(self) -> Grounding:
         """Step 0: task-agnostic data, the source policy, G, and a policy that sees through G."""
@@ -90,20 +102,16 @@ class IterativeGrounding:
         self.repair.visual_effects(D_T[0])
         D_S = (self.explore_source(),)
         P_S = fit_P_S(c, 0, D_S, lengths.state_predictor)
-        pi = fit_source_policy(c, self.schedule.source_policy, P_S, D_S)
-        self.evaluation.direct_transfer(pi)
-
+        source_policy = self.source_policy(P_S, D_S)
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S)
-        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, pi)
+        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
         pi = fit_grounded_policy(c, 0, lengths.policy, G, None, pi)
-        self.evaluation.report(0, pi, G, None, P_S, D_T[-1:])
-        return Grounding(D_S, D_T, P_S, G, None, pi)
+        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
 
-    def step(self, k: int, g: Grounding) -> Grounding:
-        """Grounding step k: new data of the policy, G and F finetuned on them, the policy trained in their world."""
+    def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
+        """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths, n = self.context, self.schedule.finetune, self.schedule.interactions
-        D_T = (*g.D_T, record_target(c, k, on_policy(g.pi), n))
         D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), n, g.G, g.F))
         P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G)
@@ -113,8 +121,29 @@ class IterativeGrounding:
         F = self.ground_actions(k, D_T, G, pi, F_before)
         F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
         pi_before, pi = pi, fit_grounded_policy(c, k, lengths.policy, G, F, pi)
-        self.evaluation.report(k, pi, G, F, P_S, D_T[-1:], pi_before)
-        return Grounding(D_S, D_T, P_S, G, F, pi)
+        return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
+
+    def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:
+        """Whether the policy's new data show nothing that step k could learn, if the schedule asks."""
+        return self.schedule.until_settled and check_convergence(self.context, k, g.pi, g.G, g.F, D_T).settled
+
+    def source_policy(self, P_S: StatePredictor, D_S: tuple[Path, ...]) -> Callable[[], AsymmetricSAC]:
+        """The policy of the plain source, and what it is worth in the target as it is (direct transfer)."""
+
+        def work() -> AsymmetricSAC:
+            pi = fit_source_policy(self.context, self.schedule.source_policy, P_S, D_S)
+            self.evaluation.direct_transfer(pi)
+            return pi
+
+        return self.aside("source_policy", self.context.stages.folder(0) / "direct_transfer.json", work)
+
+    def report(
+        self, k: int, pi: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None, P_S: StatePredictor,
+        D_T: tuple[Path, ...], pi_before: AsymmetricSAC | None = None,
+    ) -> Callable[[], dict]:  # fmt: skip
+        """Everything measured after step k; nothing waits for it."""
+        work = partial(self.evaluation.report, k, pi, G, F, P_S, D_T[-1:], pi_before)
+        return self.aside(f"evaluation_{k}", self.context.stages.folder(k) / "evaluation.json", work)
 
     def ground_actions(
         self,

@@ -22,6 +22,7 @@ from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
+from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
 from idapt_pl.stages.schedule import Schedule
@@ -76,6 +77,8 @@ class RunConfig:
         image_size: side of the rendered images, pixels.
         frame_stack: K, frames in an observation.
         render_processes: further processes that render; None for one on each core but one, at most 3.
+        threads: of torch; None for the cores that nobody else uses, looked at every few seconds.
+        side_by_side: run what does not depend on each other in two processes; None where a second core is free for it.
         episodes: for each reported return.
         oracle: also train the oracle reference in the target.
         view: the part of the camera's image that is rendered.
@@ -94,6 +97,8 @@ class RunConfig:
     image_size: int
     frame_stack: int
     render_processes: int | None
+    threads: int | None
+    side_by_side: bool | None
     episodes: int
     oracle: bool
     view: View
@@ -118,6 +123,20 @@ class RunConfig:
             default=None,
             help="further processes that render where several simulations run side by side; default one for each core "
             "but one, at most 3. Images do not depend on it",
+        )
+        parser.add_argument(
+            "--threads",
+            type=int | None,
+            default=None,
+            help="threads that a stage computes with; default as many as there are cores that nobody else uses, looked "
+            "at every few seconds. With a fixed number two runs with one seed agree to the bit on a busy machine too",
+        )
+        parser.add_argument(
+            "--side_by_side",
+            type=bool | None,
+            default=None,
+            help="run what does not depend on each other (the source policy and G, an evaluation and the next step) in "
+            "two processes, with the same results; default where there are two cores and no GPU",
         )
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
@@ -189,18 +208,21 @@ class Run:
     Attributes:
         config: what it was started with.
         context: what all its stages share.
+        aside: starts what the rest of a grounding step does not wait for.
     """
 
     config: RunConfig
     context: StageContext
+    aside: Aside = in_turn
 
     @classmethod
-    def create(cls, config: RunConfig, make_trainer: MakeTrainer = cpu_trainer) -> Run:
+    def create(cls, config: RunConfig, make_trainer: MakeTrainer = cpu_trainer, aside: Aside = in_turn) -> Run:
         """The run that a config describes; nothing is written yet.
 
         Args:
             config: of the run.
             make_trainer: stage folder and number of batches to a fresh Trainer.
+            aside: starts what the rest of a grounding step does not wait for.
 
         Raises:
             ValueError: an unknown task or target, or a task whose states the config's settings cannot work with.
@@ -214,9 +236,9 @@ class Run:
         )  # fmt: skip
         if config.effects.discover:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
-        stages, b = Stages(config.folder, config.seed, make_trainer), config.feeding
+        stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
-        return cls(config, StageContext(worlds, stages, module_factories(config), b, teacher))
+        return cls(config, StageContext(worlds, stages, module_factories(config), b, teacher), aside)
 
     @classmethod
     def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:
@@ -252,7 +274,8 @@ class Run:
     @functools.cached_property
     def grounding(self) -> IterativeGrounding:
         """Algorithm 1, to be run or resumed."""
-        return IterativeGrounding(self.context, self.evaluation, self.config.schedule, self.config.effects)
+        c = self.config
+        return IterativeGrounding(self.context, self.evaluation, c.schedule, c.effects, self.aside)
 
     def load_policy(self, checkpoint: Path) -> AsymmetricSAC:
         """A policy from its checkpoint (weights only, nothing is unpickled)."""

@@ -18,6 +18,7 @@ from lightning.pytorch.loggers import CSVLogger
 
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import open_trajectory_file
+from idapt_pl.cores import FreeCores
 from idapt_pl.files import write_atomically, write_json
 
 log = logging.getLogger(__name__)
@@ -26,14 +27,14 @@ MakeTrainer = Callable[[Path, int], L.Trainer]
 """Folder of the stage and its number of batches to a fresh Trainer."""
 
 
-def stage_trainer_settings(folder: Path, batches: int) -> dict[str, Any]:
-    """What every stage's Trainer is told; the rest is the user's."""
+def stage_trainer_settings(folder: Path, batches: int, shows_bars: bool | None = None) -> dict[str, Any]:
+    """What every stage's Trainer is told; the rest is the user's. There are bars where a person watches, by default."""
     return {
         "default_root_dir": str(folder),
         "max_epochs": 1,
         "limit_train_batches": batches,
         "log_every_n_steps": max(1, batches // 250),
-        "enable_progress_bar": sys.stderr.isatty(),
+        "enable_progress_bar": sys.stderr.isatty() if shows_bars is None else shows_bars,
         "enable_checkpointing": False,
         "enable_model_summary": False,
     }
@@ -63,10 +64,11 @@ class Stages:
         run_dir: the run folder.
         seed: the run's seed; each stage derives its own.
         make_trainer: a fresh Trainer, since a Trainer's counters survive a fit.
+        threads: that a stage computes with; None for as many as there are free cores.
     """
 
-    def __init__(self, run_dir: Path, seed: int, make_trainer: MakeTrainer) -> None:
-        self.run_dir, self.seed, self.make_trainer = run_dir, seed, make_trainer
+    def __init__(self, run_dir: Path, seed: int, make_trainer: MakeTrainer, threads: int | None = None) -> None:
+        self.run_dir, self.seed, self.make_trainer, self.threads = run_dir, seed, make_trainer, threads
 
     def folder(self, step: int) -> Path:
         """Folder of one grounding step."""
@@ -103,6 +105,7 @@ class Stages:
         started, notes = time.perf_counter(), {}
         if batches:
             trainer = self.make_trainer(folder, batches)
+            trainer.callbacks.append(FreeCores(self.threads))
             device = trainer.strategy.root_device
             trainer.fit(module, datamodule=feed(module.to(device), seed, device))
             if trainer.interrupted:

@@ -105,8 +105,12 @@ class Evaluation:
                 videos.append(record_video(env, deterministic(policy), 75, seed=step))
         log_video(folder, "policy_in_grounded_and_target", side_by_side(*videos), step)
 
-    def summary(self, steps: int) -> dict:
-        """Write and return ``summary.json``."""
+    def summary(self, evaluations: Sequence[dict]) -> dict:
+        """Write and return ``summary.json``.
+
+        Args:
+            evaluations: of every step, from step 0 on, as in ``evaluation.json``.
+        """
 
         def path(step: int, name: str) -> Path:
             return self.stages.folder(step) / f"{name}.json"
@@ -117,7 +121,9 @@ class Evaluation:
         def read_if_there(step: int, name: str) -> dict | None:
             return read(step, name) if path(step, name).exists() else None
 
-        evaluations = [read(k, "evaluation") for k in range(steps + 1)]
+        steps = len(evaluations) - 1
+        settled = (read_if_there(steps + 1, "convergence") or {}).get("settled", False)
+        grounded = [e["target"]["mean"] for e in evaluations[1:]]
         selections = {k: read_if_there(k, "selection") for k in range(1, steps + 1)}
         oracle = read_if_there(0, "oracle_evaluation")
         found = [(k, read_if_there(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
@@ -131,7 +137,8 @@ class Evaluation:
             "direct_transfer": read(0, "direct_transfer")["mean"],
             "oracle": oracle["mean"] if oracle else None,
             "visual_only": evaluations[0]["target"]["mean"],
-            "grounded": [e["target"]["mean"] for e in evaluations[1:]],
+            "grounded": grounded + [evaluations[-1]["target"]["mean"]] * settled,  # the policy stays
+            "settled": steps + 1 if settled else None,
             "effects": [{"step": k} | e for k, result in found if result for e in result["effects"]],
             "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
             "target_interactions": self.worlds.ledger.training_total,

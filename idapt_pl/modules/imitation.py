@@ -41,9 +41,9 @@ class Imitation(ManualModule):
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Descend on E|tanh μ - label|² + w E(log σ - log σ_teacher)²."""
-        student = self.policy.actor.distribution(self.policy.features(batch["observation"]))
-        error = nnf.mse_loss(student.mean.tanh(), batch["label"])
-        spread = nnf.mse_loss(student.stddev.log(), batch["label_log_std"])
+        mean, log_std = self.policy.actor.gaussian(self.policy.features(batch["observation"]))
+        error = nnf.mse_loss(mean.tanh(), batch["label"])
+        spread = nnf.mse_loss(log_std, batch["label_log_std"])
         self.descend(self.optimizers(), error + self.hparams.spread_weight * spread)
         return {"imitation/action_error": error.detach(), "imitation/spread_error": spread.detach()}
 

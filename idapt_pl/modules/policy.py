@@ -140,7 +140,7 @@ class AsymmetricSAC(SAC):
     def estimator_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Regress f(o) on the source state."""
         loss = self.estimator_loss(batch)
-        self.descend(self.optimizers()[3], loss)
+        self.descend(self.optimizers()[-1], loss)
         return {"policy/state_error": loss.detach()}
 
     def estimator_loss(self, batch: dict[str, Tensor]) -> Tensor:

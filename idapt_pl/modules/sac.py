@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -16,6 +17,9 @@ from idapt_pl.modules.manual import ManualModule
 from idapt_pl.modules.observation_noise import NoObservationNoise
 from idapt_pl.nets.encoder import orthogonal_init
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.nets.relu_net import relu_net
+
+HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 
 class Actor(nn.Module):
@@ -41,15 +45,16 @@ class Actor(nn.Module):
 
     def forward(self, features: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor]:
         """Action in physical units (n, nu) and its log-probability density on (-1, 1)^nu, (n,), for f(o) (n, d)."""
-        normal = self.distribution(features)
-        u = normal.mean if deterministic else normal.rsample()
-        return self.center + self.half_range * torch.tanh(u), squashed_log_prob(normal.log_prob(u), u)
+        mean, log_std = self.gaussian(features)
+        noise = torch.zeros_like(mean) if deterministic else torch.randn_like(mean)
+        u = mean + log_std.exp() * noise
+        log_prob = -0.5 * noise.square() - log_std - HALF_LOG_2PI
+        return self.center + self.half_range * torch.tanh(u), squashed_log_prob(log_prob, u)
 
-    def distribution(self, features: Tensor) -> torch.distributions.Normal:
-        """What is squashed by tanh and scaled to the bounds, (n, nu)."""
-        mean, log_std = self.head(features).float().chunk(2, -1)
-        log_std = -5.0 + 3.5 * (1.0 + torch.tanh(log_std))  # in [-5, 2]
-        return torch.distributions.Normal(mean, log_std.exp(), validate_args=False)
+    def gaussian(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log of the spread of what is squashed by tanh and scaled to the bounds, (n, nu) each."""
+        mean, log_std = relu_net(self.head, features).float().chunk(2, -1)
+        return mean, torch.tanh(log_std).mul(3.5).sub(1.5)  # in [-5, 2]
 
     def normalise(self, actions: Tensor) -> Tensor:
         """Actions in physical units to -1..1."""
@@ -73,10 +78,10 @@ class TwinCritic(nn.Module):
         self.register_buffer("center", actor.center.clone())
         self.register_buffer("half_range", actor.half_range.clone())
 
-    def forward(self, state: Tensor, action: Tensor) -> Tensor:
-        """Both values, (2, n), of states (n, s) and actions in physical units (n, nu)."""
+    def forward(self, state: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+        """Both values, (2, n), of states (n, s) and actions in physical units (n, nu); ``frozen`` as they are."""
         x = torch.cat([state, (action - self.center) / self.half_range], -1)
-        return torch.stack([net(x).squeeze(-1) for net in self.nets])
+        return torch.cat([relu_net(net, x, frozen) for net in self.nets], -1).mT
 
 
 class SAC(ManualModule, ABC):
@@ -134,19 +139,20 @@ class SAC(ManualModule, ABC):
     def update(self, batch: dict[str, dict[str, Tensor]]) -> dict[str, Tensor]:
         """Critic and actor steps on every minibatch. Returns the metrics of the last one."""
         metrics: dict[str, Tensor] = {}
-        for minibatch in unstack(batch["transitions"]):
+        minibatches = unstack(batch["transitions"])
+        for i, minibatch in enumerate(minibatches, int(self.updates)):
             metrics |= self.critic_step(minibatch)
-            if self.updates % self.hparams.actor_every == 0:
+            if i % self.hparams.actor_every == 0:
                 metrics |= self.actor_step(minibatch)
             self.track_critic()
-            self.updates += 1
+        self.updates += len(minibatches)
         return metrics
 
     def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Regress both critics on the soft Bellman target (:func:`~idapt_pl.losses.sac_target`)."""
         with torch.no_grad():
             action, log_prob = self.actor(self.features(batch["next_observation"]))
-            next_q = self.critic_target(batch["next_state"], action).amin(0)
+            next_q = torch.minimum(*self.critic_target(batch["next_state"], action))
             rewards = self.shaped_rewards(batch)
             target = sac_target(
                 rewards, batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
@@ -154,27 +160,28 @@ class SAC(ManualModule, ABC):
         q = self.critic(batch["state"], batch["actions"])
         loss = nnf.mse_loss(q, target.expand_as(q)) * 2
         self.descend(self.optimizers()[0], loss)
-        return {"policy/critic_loss": loss.detach(), "policy/q": q.detach().mean()}
+        return {"policy/critic_loss": loss.detach(), "policy/q": q.detach()}
 
     def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
         """The source's rewards as the critics learn them, (n,)."""
         return batch["rewards"]
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Improve the actor on α log π - min Q, then the temperature."""
-        _, opt_actor, opt_alpha = self.optimizers()[:3]
+        """Improve the actor on α log π - min Q, and the temperature, in one descent: they share no parameter."""
         action, log_prob = self.actor(self.features(batch["observation"]))
-        q = self.critic(batch["state"], action).amin(0)
-        loss = (self.log_alpha.exp().detach() * log_prob - q).mean()
-        self.descend(opt_actor, loss)
+        q = torch.minimum(*self.critic(batch["state"], action, frozen=True))
+        alpha = self.log_alpha.exp()
+        loss = (alpha.detach() * log_prob - q).mean()
+        objective = loss
         if self.hparams.learn_temperature:
             target = self.hparams.target_entropy
             target = -float(action.shape[-1]) if target is None else target
-            self.descend(opt_alpha, -(self.log_alpha.exp() * (log_prob.detach() + target)).mean())
+            objective = loss - alpha * (log_prob.detach().mean() + target)
+        self.descend(self.optimizers()[1], objective)
         return {
             "policy/actor_loss": loss.detach(),
-            "policy/entropy": -log_prob.detach().mean(),
-            "policy/temperature": self.log_alpha.exp().detach(),
+            "policy/entropy": -log_prob.detach(),
+            "policy/temperature": alpha.detach(),
         }
 
     @torch.no_grad()
@@ -187,7 +194,10 @@ class SAC(ManualModule, ABC):
         return list(self.actor.parameters())
 
     def configure_optimizers(self) -> tuple[list, list]:
-        groups = (self.critic.parameters(), self.trained_by_the_actor_loss(), [self.log_alpha])
+        actor = self.trained_by_the_actor_loss()
+        if self.hparams.learn_temperature:
+            actor = [*actor, self.log_alpha]
+        groups = (self.critic.parameters(), actor)
         optimizers = [torch.optim.Adam(g, lr=self.hparams.lr, fused=True) for g in groups]
         return optimizers, [torch.optim.lr_scheduler.LambdaLR(o, self.linear_decay) for o in optimizers]
 

@@ -81,14 +81,11 @@ class StateSAC(SAC):
         return self.act(remembered["observation"])
 
     def features(self, remembered: Tensor) -> Tensor:
-        return self.actor.encoder(remembered)
+        return remembered  # standardised by update()
 
-    def critic_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        return super().critic_step(self._standardised(batch))
-
-    def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        return super().actor_step(self._standardised(batch))
-
-    def _standardised(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """What the critics see."""
-        return batch | {k: self.actor.encoder(batch[k]) for k in ("state", "next_state")}
+    def update(self, batch: dict[str, dict[str, Tensor]]) -> dict[str, Tensor]:
+        """As of SAC, on standardised states: all minibatches of a step at once."""
+        transitions = batch["transitions"]
+        now, after = (self.actor.encoder(transitions[name]) for name in ("state", "next_state"))
+        seen = {"state": now, "observation": now, "next_state": after, "next_observation": after}
+        return super().update({**batch, "transitions": transitions | seen})

@@ -78,6 +78,8 @@ class VisualTransformation(ManualModule):
         images_every: batches between image grids in TensorBoard.
     """
 
+    two_ways = False
+
     def __init__(
         self,
         state_dim: int,
@@ -255,21 +257,27 @@ class VisualTransformation(ManualModule):
     def training_step(self, batch: dict, index: int) -> None:
         opt_g, opt_d = self.optimizers()
         real_S, real_T = self.adversarial_input(batch["source"]), self.adversarial_input(batch["target"])
+        resets = self.resets(batch)
         # Toggled: networks that only judge keep no activations for gradients of their own weights.
-        with self.toggled_optimizer(opt_g), fast_precision(self.device, self.hparams.bf16):
-            fake_S, fake_T, parts = self.generator_losses(real_S, real_T, batch["source"], self.resets(batch))
-            self.descend(opt_g, sum(parts.values()))
+        with self.toggled_optimizer(opt_g):
+            ways = [partial(self.way_there, real_S, real_T, batch["source"], resets)]
+            if self.G_back is not None:
+                ways.append(partial(self.way_back, real_S, real_T, resets))
+            (fake_T, parts), *back = self.descend_each(opt_g, ways, self.hparams.bf16)
         if self.G_average is not None:
             self.G_average.update_parameters(self.G)
-        with self.toggled_optimizer(opt_d), fast_precision(self.device, self.hparams.bf16):
-            losses_d = {"d_target": self.discriminator_loss(self.D_T, real_T, self.pools["target"](fake_T))}
-            if self.D_S is not None:
-                losses_d["d_source"] = self.discriminator_loss(self.D_S, real_S, self.pools["source"](fake_S))
-            self.descend(opt_d, sum(losses_d.values()))
+        judged = [partial(self.judged, "d_target", self.D_T, real_T, self.pools["target"](fake_T))]
+        for fake_S, parts_back in back:
+            assert self.D_S is not None  # there is a way back
+            parts |= {name: loss + parts.get(name, 0.0) for name, loss in parts_back.items()}
+            judged.append(partial(self.judged, "d_source", self.D_S, real_S, self.pools["source"](fake_S)))
+        with self.toggled_optimizer(opt_d):
+            for _, losses in self.descend_each(opt_d, judged, self.hparams.bf16):
+                parts |= losses
         for schedule in self.lr_schedulers():
             schedule.step()
         step = self.trainer.current_epoch * self.trainer.num_training_batches + index
-        self.log_at(step, {f"visual/{k}": v for k, v in (parts | losses_d).items()})
+        self.log_at(step, {f"visual/{k}": v for k, v in parts.items()})
         if step % self.hparams.images_every == 0:
             self.log_grid(batch, step)
 
@@ -287,14 +295,10 @@ class VisualTransformation(ManualModule):
             )
         return self.adversarial_input(batch["source_resets"]), self.adversarial_input(batch["target_resets"])
 
-    def generator_losses(
-        self,
-        real_S: Tensor,
-        real_T: Tensor,
-        source: dict[str, Tensor],
-        resets: tuple[Tensor | None, Tensor | None] = (None, None),
-    ) -> tuple[Tensor | None, Tensor, dict[str, Tensor]]:
-        """Weighted generator losses of equation (2), and the fakes for the discriminators (one-sided: no first).
+    def way_there(
+        self, real_S: Tensor, real_T: Tensor, source: dict[str, Tensor], resets: tuple[Tensor | None, Tensor | None]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The part of equation (2) that begins with G: G(o^S) and its weighted losses.
 
         Args:
             real_S: source images, (B, C, H, W), -1..1.
@@ -303,44 +307,47 @@ class VisualTransformation(ManualModule):
             resets: images of first observations, source and target, with ``reset_weight``.
         """
         w = self.hparams
-        gan = GAN_LOSSES[w.gan_loss]
-        # One pass through each net for all that goes in: the batch is cheaper than the calls.
-        older = self.older_frames(source)
-        same_S, same_T = (real_S, real_T) if w.identity_weight else (None, None)
-        to_T = in_one_pass(self.G, {"S": real_S, "T": same_T, "older": older, "reset": resets[0]})
-        to_S: dict[str, Tensor | None] = {}
-        if self.G_back is not None:
-            to_S = in_one_pass(self.G_back, {"T": real_T, "S": same_S, "reset": resets[1]})
-        fake_T, fake_S = to_T["S"], to_S.get("T")
-        parts = {"g_target": gan(self.D_T(fake_T), True)}
-        if fake_S is not None and self.D_S is not None:
-            parts["g_source"] = gan(self.D_S(fake_S), True)
-        parts |= self.image_losses(to_T, to_S, real_S, real_T, resets)
+        # One pass through the net for all that goes in: the batch is cheaper than the calls.
+        older, same = self.older_frames(source), real_T if w.identity_weight else None
+        made = in_one_pass(self.G, {"translated": real_S, "same": same, "older": older, "reset": resets[0]})
+        fake_T = made["translated"]
+        parts = {"g_target": GAN_LOSSES[w.gan_loss](self.D_T(fake_T), True)}
+        parts |= self.image_losses(made, self.G_back, real_S, real_T, resets[1])
         if w.contrastive_weight:
             parts["contrastive"] = w.contrastive_weight * self.contrast(fake_T, real_S)
-        return fake_S, fake_T, parts | self.stack_losses(self.whole_stack(fake_T, to_T["older"]), source)
+        return fake_T, parts | self.stack_losses(self.whole_stack(fake_T, made["older"]), source)
+
+    def way_back(
+        self, real_S: Tensor, real_T: Tensor, resets: tuple[Tensor | None, Tensor | None]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The part that begins with G_back: target images made source images, and their weighted losses."""
+        same = real_S if self.hparams.identity_weight else None
+        made = in_one_pass(self.backwards, {"translated": real_T, "same": same, "reset": resets[1]})
+        fake_S = made["translated"]
+        assert self.D_S is not None  # there is a way back
+        parts = {"g_source": GAN_LOSSES[self.hparams.gan_loss](self.D_S(fake_S), True)}
+        return fake_S, parts | self.image_losses(made, self.G, real_T, real_S, resets[0])
 
     def image_losses(
-        self, to_T: dict, to_S: dict, real_S: Tensor, real_T: Tensor, resets: tuple[Tensor | None, Tensor | None]
+        self, made: dict, other: ResnetGenerator | None, real: Tensor, there: Tensor, reset: Tensor | None
     ) -> dict[str, Tensor]:
-        """Weighted L1 losses between images: cycles, images that should stay as they are, first observations.
+        """Weighted L1 losses between images: the cycle, images that should stay as they are, first observations.
 
         Args:
-            to_T: what G made of source images ``S``, target images ``T`` and first observations ``reset``, or None.
-            to_S: what G_back made of target images ``T``, source images ``S`` and ``reset``; empty if one-sided.
-            real_S: source images.
-            real_T: target images.
-            resets: first observations, source and target.
+            made: what a generator made: ``translated`` of images that it is for, ``same`` of images that are already of
+                the domain it translates to, and ``reset`` of first observations; or None.
+            other: takes ``translated`` back; None leaves the cycle out.
+            real: what ``translated`` was made of.
+            there: images of the domain it translates to.
+            reset: first observations of that domain.
         """
-        pairs = {"cycle": [], "identity": [(to_T["T"], real_T)], "reset": [(to_T["reset"], resets[1])]}
-        if to_S and self.G_back is not None:
-            pairs["cycle"] += [(self.G_back(to_T["S"]), real_S), (self.G(to_S["T"]), real_T)]
-            pairs["identity"] += [(to_S["S"], real_S)]
-            pairs["reset"] += [(to_S["reset"], resets[0])]
+        pairs = {"identity": (made["same"], there), "reset": (made["reset"], reset)}
+        if other is not None:
+            pairs["cycle"] = (other(made["translated"]), real)
         return {
-            name: self.hparams[f"{name}_weight"] * sum((made - real).abs().mean() for made, real in images)
-            for name, images in pairs.items()
-            if images and images[0][0] is not None
+            name: self.hparams[f"{name}_weight"] * (image - wanted).abs().mean()
+            for name, (image, wanted) in pairs.items()
+            if image is not None
         }
 
     def stack_losses(self, translated: Tensor, source: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -375,14 +382,14 @@ class VisualTransformation(ManualModule):
         older = older.unflatten(0, (len(newest), -1))
         return torch.cat([older, newest[:, None]], 1).flatten(1, 2)
 
-    def discriminator_loss(self, D: torch.nn.Module, real: Tensor, fake: Tensor) -> Tensor:
-        """Half of real-against-fake, so that D learns at half the generators' pace (CycleGAN, sec. 4).
+    def judged(self, name: str, D: PatchDiscriminator, real: Tensor, fake: Tensor) -> tuple[None, dict[str, Tensor]]:
+        """Half of real-against-fake, under a name, so that D learns at half the generators' pace (CycleGAN, sec. 4).
 
         One pass for both, for speed: instance norm keeps images apart.
         """
         gan = GAN_LOSSES[self.hparams.gan_loss]
         on_real, on_fake = D(torch.cat([real, fake])).split([len(real), len(fake)])
-        return 0.5 * (gan(on_real, True) + gan(on_fake, False))
+        return None, {name: 0.5 * (gan(on_real, True) + gan(on_fake, False))}
 
     @torch.no_grad()
     def log_grid(self, batch: dict, index: int) -> None:

@@ -22,6 +22,7 @@ ORDER = (
     "source_student",
     "source_policy",
     "direct_transfer",
+    "convergence",
     "visual",
     "translated",
     "estimator",
@@ -49,6 +50,7 @@ class StepRecord:
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
         selection: whether F was kept, as in ``selection.json``.
+        convergence: whether anything was left to learn, as in ``convergence.json``.
         visual_effects: what its pictures were found to lack (``looks.json``); likewise.
         training: of the policy, as in its ``stage.json``: whether it was put back to what it was before.
         seconds: wall-clock time of every finished stage, s, in the order of Algorithm 1.
@@ -60,10 +62,16 @@ class StepRecord:
     evaluation: dict
     diagnosis: ImageDiagnosis | None
     selection: dict
+    convergence: dict
     visual_effects: VisualEffects | None
     training: dict
     seconds: dict[str, float]
     interactions: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether the run ended with it, since there was nothing left to learn."""
+        return bool(self.convergence.get("settled", False))
 
     @property
     def source_repaired(self) -> bool:
@@ -107,8 +115,8 @@ class RunRecord:
 
     @property
     def finished(self) -> bool:
-        """Whether every step went to its end."""
-        return len(self.evaluated) == self.planned + 1
+        """Whether every step went to its end, or one showed that there was nothing left to learn."""
+        return len(self.evaluated) == self.planned + 1 or any(s.settled for s in self.steps)
 
 
 class RunFiles:
@@ -181,6 +189,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         evaluation=files.read(folder / "evaluation.json"),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
         selection=files.read(folder / "selection.json"),
+        convergence=files.read(folder / "convergence.json"),
         visual_effects=files.read_as(folder / "looks.json", VisualEffects.from_dict),
         training=files.read(folder / "policy/stage.json"),
         seconds={name: seconds[name] for name in sorted(seconds, key=stage_place)},

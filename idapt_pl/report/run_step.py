@@ -33,6 +33,8 @@ def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> 
     """One grounding step: in words, in pictures, in numbers."""
     model = run.worlds.source_domain.compile()
     parts = [paragraph(s) for s in step_story(record, step, metric)]
+    if step.settled:
+        return section(f"Step {step.k}: nothing left to learn", *parts)
     if step.visual_effects is not None:
         parts.append(visual_effects_section(step.visual_effects))
     if step.diagnosis is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from idapt_pl.effects.wording import format_number
 from idapt_pl.report.run_record import RunRecord, StepRecord
+from idapt_pl.stages.convergence import Convergence
 from idapt_pl.stages.rollback import RollbackDecision
 
 
@@ -34,12 +35,17 @@ def format_distance(residual: dict, key: str) -> str:
 def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
     """What happened in a step, in sentences."""
     sentences = []
+    if step.convergence:
+        sentences.append(Convergence.from_dict(step.convergence).sentence.capitalize() + ".")
+    if step.settled:
+        return [*sentences, "So the run ended here, and the policy of the step before stays."]
     if not step.evaluation:
         stages = ", ".join(step.seconds) or "nothing"
-        return [f"This step did not end: there is no evaluation. Finished in it: {stages}."]
+        return [*sentences, f"This step did not end: there is no evaluation. Finished in it: {stages}."]
     before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
     now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
     now += f", {format_score(before['mean'], metric)} before" if before else ""
+    place = len(sentences)
     sentences.append(f"{now}; in the grounded source: {format_score(step.evaluation['grounded']['mean'], metric)}.")
     if residual := step.evaluation.get("residual"):
         which = "the F that was gone back to" if step.selection.get("rolled_back") else "F"
@@ -50,7 +56,7 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
             "deviation over rollouts)."
         )
     psnr = step.evaluation["translation"]["psnr"]
-    sentences[0] += f" What G draws is {format_number(psnr)} dB (PSNR) from the target's image of the same state."
+    sentences[place] += f" What G draws is {format_number(psnr)} dB (PSNR) from the target's image of the same state."
     if step.training.get("kept") == "before":
         before, after = (format_score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))
         sentences.append(

@@ -94,8 +94,8 @@ class DaggerExperience(Experience):
 @torch.no_grad()
 def teacher_labels(teacher: StateSAC, states: np.ndarray) -> dict[str, np.ndarray]:
     """The teacher's mean action on states (n, s), in -1..1, and the log of its spread before tanh; both (n, nu)."""
-    normal = teacher.actor.distribution(teacher.encode(states))
-    return {"label": normal.mean.tanh().cpu().numpy(), "label_log_std": normal.stddev.log().cpu().numpy()}
+    mean, log_std = teacher.actor.gaussian(teacher.encode(states))
+    return {"label": mean.tanh().cpu().numpy(), "label_log_std": log_std.cpu().numpy()}
 
 
 class Distillation:

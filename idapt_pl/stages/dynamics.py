@@ -87,8 +87,23 @@ def start_by_matching(c: StageContext, F: ActionTransformation, target: Sequence
             "feeding.garat_start: matching needs features that are states, i.e. policy.encoder: supervised; "
             "with a learned encoder use garat_start: identity"
         )
-    data = FrameStacks(read_all(target), c.worlds.frame_stack)
-    f = F.encoder
+    model = c.worlds.source_domain.compile()
+    seen = seen_states(c, F, target, hold_out)
+    left = initialise_by_matching(F, c.worlds.task, model, *seen, c.batches.garat_ridge)
+    weights = F.affine.weight.detach().flatten().numpy().round(3).tolist()
+    log.info("F by trajectory matching: %s; left %.3g", weights, left)
+
+
+def seen_states(
+    c: StageContext, F: ActionTransformation, target: Sequence[Path], hold_out: bool = False
+) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+    """What F's features say of the target's recordings, where they are states.
+
+    Returns:
+        States in units (N, state_dim), actions (N, nu), and the number of the stretch that each is of, (N,). With
+        ``hold_out``, without what is held out of the newest file.
+    """
+    data, f = FrameStacks(read_all(target), c.worlds.frame_stack), F.encoder
     states = (encode_all(data, F.encode) * f.std + f.mean).detach()
     actions = torch.zeros(len(data), data.actions.shape[1])
     actions[data.transitions] = torch.from_numpy(data.actions)
@@ -98,8 +113,4 @@ def start_by_matching(c: StageContext, F: ActionTransformation, target: Sequence
         newest = np.arange(len(data)) >= len(data) - len(piece)
         stretch = np.concatenate([data.first[~newest], len(data) + piece])  # windows must not cross a gap
         kept[newest] = ~held_out(piece)
-    model = c.worlds.source_domain.compile()
-    seen = states[kept], actions[kept], stretch[kept]
-    left = initialise_by_matching(F, c.worlds.task, model, *seen, c.batches.garat_ridge)
-    weights = F.affine.weight.detach().flatten().numpy().round(3).tolist()
-    log.info("F by trajectory matching: %s; left %.3g", weights, left)
+    return states[kept], actions[kept], stretch[kept]

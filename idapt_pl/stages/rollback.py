@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -171,13 +171,6 @@ def compare_transformations(
     Raises:
         ValueError: if too little was held out.
     """
-
-    def grounded(transform: ActionTransformation | None) -> TransitionSample:
-        rollouts = grounded_rollouts(worlds, policy, G, transform, len(out), ROLLOUTS, seed)
-        begins = [(i, first) for i, r in enumerate(rollouts) for first in r.first[r.transitions]]
-        episode = np.unique(begins, axis=0, return_inverse=True)[1].ravel()
-        return TransitionSample(describe(torch.cat([standardised_transitions(r, F) for r in rollouts])), episode)
-
     stacks = FrameStacks(read_all([target]), worlds.frame_stack)
     values, piece = standardised_transitions(stacks, F), pieces(stacks)[stacks.transitions]
     out = held_out(piece)
@@ -185,13 +178,59 @@ def compare_transformations(
         raise ValueError(f"schedule.rollback needs at least 10 target interactions in a grounding step, got {len(out)}")
     describe = unpredicted_change(values[torch.from_numpy(~out)], F.encoder.features)
     real = TransitionSample(describe(values[torch.from_numpy(out)]), np.unique(piece[out], return_inverse=True)[1])
-    return bootstrap_comparison(grounded(F_before), grounded(F), real, seed)
+    before, after = (
+        grounded_sample(worlds, policy, G, transform, F, describe, len(out), ROLLOUTS, seed)
+        for transform in (F_before, F)
+    )
+    return bootstrap_comparison(before, after, real, seed)
+
+
+def grounded_sample(
+    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None,
+    scale: ActionTransformation, describe: Callable[[torch.Tensor], torch.Tensor], steps: int, rollouts: int, seed: int,
+) -> TransitionSample:  # fmt: skip
+    """Transitions of the grounded source, whole episodes as pieces.
+
+    Args:
+        worlds: of the run.
+        policy: that acts.
+        G: the visual transformation.
+        F: the action transformation that is rolled out; None is the identity.
+        scale: the one in whose features and units transitions are compared.
+        describe: of standardised transitions.
+        steps: control steps of a rollout.
+        rollouts: how many.
+        seed: of the rollouts.
+    """
+    played = grounded_rollouts(worlds, policy, G, F, steps, rollouts, seed)
+    begins = [(i, first) for i, r in enumerate(played) for first in r.first[r.transitions]]
+    episode = np.unique(begins, axis=0, return_inverse=True)[1].ravel()
+    return TransitionSample(describe(torch.cat([standardised_transitions(r, scale) for r in played])), episode)
 
 
 def bootstrap_comparison(
     before: TransitionSample, after: TransitionSample, real: TransitionSample, seed: int
 ) -> RollbackDecision:
     """Whether ``after`` is clearly further from ``real`` than ``before`` is; see :func:`compare_transformations`."""
+    one, other = distance_draws(real, [before, after], seed)
+    worse = other - one
+    low, high = np.nanquantile(worse[1:].numpy(), [0.025, 0.975])  # a draw of one piece alone has no spread: NaN
+    return RollbackDecision(
+        before=round(float(one[0]), 4),
+        after=round(float(other[0]), 4),
+        worse_by=round(float(worse[0]), 4),
+        ci95=(round(float(low), 4), round(float(high), 4)),
+        rolled_back=bool(low > 0),
+        held_out_pieces=int(real.piece.max()) + 1,
+        held_out_steps=len(real.values),
+    )
+
+
+def distance_draws(real: TransitionSample, samples: Sequence[TransitionSample], seed: int) -> list[torch.Tensor]:
+    """Energy distance of each sample to ``real``, (1 + BOOTSTRAP_DRAWS,): first as they are, then with pieces redrawn.
+
+    The draws of ``real`` are common to all. Pairs within a piece are left out, so that samples alike are at 0.
+    """
     rng = np.random.default_rng(seed)
 
     def weights(sample: TransitionSample) -> torch.Tensor:
@@ -207,15 +246,4 @@ def bootstrap_comparison(
         w = weights(sample)
         return 2 * sample.mean_distance(real, w, v) - sample.mean_distance(sample, w, w) - spread
 
-    one, other = distance(before), distance(after)
-    worse = other - one
-    low, high = np.nanquantile(worse[1:].numpy(), [0.025, 0.975])  # a draw of one piece alone has no spread: NaN
-    return RollbackDecision(
-        before=round(float(one[0]), 4),
-        after=round(float(other[0]), 4),
-        worse_by=round(float(worse[0]), 4),
-        ci95=(round(float(low), 4), round(float(high), 4)),
-        rolled_back=bool(low > 0),
-        held_out_pieces=int(real.piece.max()) + 1,
-        held_out_steps=len(real.values),
-    )
+    return [distance(sample) for sample in samples]

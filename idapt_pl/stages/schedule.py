@@ -47,6 +47,9 @@ class Schedule:
         rollback: go on with the F of the step before where the new one makes the grounded source clearly less like the
             target, by a fifth of the target's images and actions that it was not fitted to. No reward of the target
             takes part.
+        until_settled: end the run with the grounding step whose new recording of the target shows nothing that the
+            grounded source does not do already, by images and actions alone; its policy stays. False always takes all
+            steps (the paper).
     """
 
     grounding_steps: int = 5
@@ -60,3 +63,4 @@ class Schedule:
     action_transformation: bool = True
     accumulate: bool = False
     rollback: bool = False
+    until_settled: bool = False

@@ -160,18 +160,65 @@ class TrajectoryMatching:
         return left, np.stack(S, -1), np.stack(J, -1) if J else np.zeros((*base.shape, 0))
 
 
-@torch.no_grad()
-def initialise_by_matching(
+@dataclass(frozen=True)
+class MatchingProblem:
+    """Trajectory matching with F's affine part as the action law.
+
+    Attributes:
+        match: windows to what matches them.
+        seen: all windows.
+        laws: indices of the free parameters of each law: none, of the actions, of positions too, of velocities too.
+        size: number of parameters.
+    """
+
+    match: Callable[[MatchingWindows], TrajectoryMatching]
+    seen: MatchingWindows
+    laws: tuple[np.ndarray, ...]
+    size: int
+
+    def halves(self) -> tuple[TrajectoryMatching, TrajectoryMatching]:
+        """Every other episode to fit to, and the rest, held out."""
+        odd = np.unique(self.seen.episode, return_inverse=True)[1] % 2 == 1
+        if not odd.any():  # one long episode
+            odd[len(odd) // 2 :] = True
+        return self.match(self.seen.part(~odd)), self.match(self.seen.part(odd))
+
+    def compare(self, ridge: float) -> tuple[list[np.ndarray], list[float]]:
+        """Parameters of every law, fitted to one half, and the robust scale of what each leaves of the other."""
+        fit, held_out = self.halves()
+        zero = np.zeros(self.size)
+        fitted = [fit.fit(zero, law, ridge)[0] if law.size else zero for law in self.laws]
+        return fitted, [held_out.fit(p, np.zeros(0, int), ridge, 3)[1] for p in fitted]
+
+    def simplest_predictive_law(self, ridge: float) -> tuple[np.ndarray, float]:
+        """The simplest law that predicts well.
+
+        Estimated velocities are noisy and, where things fall, proportional to positions; a law that may use both
+        trades one for the other, and is wrong wherever they part. What a law leaves is mostly systematic errors of the
+        estimates, which more coefficients explain a little of, on held-out episodes too: a larger law must be clearly
+        better.
+
+        Returns:
+            Parameters (nu * (nq + nv + nu + 1),), refitted on all windows, and the robust scale of what is left, m or
+            rad.
+        """
+        fitted, scores = self.compare(ridge)
+        best = next(i for i, score in enumerate(scores) if score <= CLEARLY_BETTER * min(scores))
+        left = np.round(scores, 6).tolist()
+        log.info("what laws of nothing, actions, positions, velocities leave on held-out episodes: %s", left)
+        return self.match(self.seen).fit(fitted[best], self.laws[best], ridge, 4)
+
+
+def matching_problem(
     F: ActionTransformation,
     task: Task,
     model: mujoco.MjModel,
     states: Tensor,
     actions: Tensor,
     first: np.ndarray,
-    ridge: float,
     length: int = 5,
-) -> float:
-    """Set F's affine part by trajectory matching on estimated target states. Returns the robust remainder.
+) -> MatchingProblem:
+    """Windows of estimated target states, to be matched by the source with F's affine part.
 
     Args:
         F: the action transformation; its features must be standardised states (``encoder: supervised``).
@@ -180,8 +227,10 @@ def initialise_by_matching(
         states: estimated from the target's images, in units, (N, state_dim).
         actions: (N, nu).
         first: index of the first observation of each observation's episode.
-        ridge: weight of the squared coefficients, against the noise of the estimates.
         length: control steps in a window.
+
+    Raises:
+        ValueError: if the state is another one, or no episode is long enough.
     """
     if model.nq + model.nv != states.shape[1]:
         raise ValueError(f"trajectory matching needs a state of positions and velocities; {task.name} has another one")
@@ -194,42 +243,45 @@ def initialise_by_matching(
         return F.apply_residual(a, x @ weights[:, :-1].T + weights[:, -1]).double().numpy()
 
     seen = cut_windows(states[:, : model.nq].numpy(), actions.numpy(), first, length, stride=max(1, length // 2))
-    sizes = model.nq, model.nv, nu
-    fitted, left = simplest_predictive_law(lambda part: TrajectoryMatching(task, model, part, law), seen, *sizes, ridge)
-    weights = torch.from_numpy(fitted).float().view(nu, -1)
+    columns = np.arange(nu * (model.nq + model.nv + nu + 1)).reshape(nu, -1)
+    position, _, action = np.split(columns[:, :-1], [model.nq, model.nq + model.nv], 1)
+    base = np.concatenate([action, columns[:, -1:]], 1)
+    laws = (np.zeros(0, int), base.ravel(), np.concatenate([base, position], 1).ravel(), columns.ravel())
+    return MatchingProblem(lambda part: TrajectoryMatching(task, model, part, law), seen, laws, columns.size)
+
+
+@torch.no_grad()
+def initialise_by_matching(
+    F: ActionTransformation,
+    task: Task,
+    model: mujoco.MjModel,
+    states: Tensor,
+    actions: Tensor,
+    first: np.ndarray,
+    ridge: float,
+) -> float:
+    """Set F's affine part by trajectory matching on estimated target states. Returns the robust remainder, m or rad.
+
+    Arguments and errors are of :func:`matching_problem`; ``ridge`` is the weight of the squared coefficients, against
+    the noise of the estimates.
+    """
+    problem = matching_problem(F, task, model, states, actions, first)
+    fitted, left = problem.simplest_predictive_law(ridge)
+    weights = torch.from_numpy(fitted).float().view(len(F.low), -1)
     F.affine.weight.copy_(weights[:, :-1])
     F.affine.bias.copy_(weights[:, -1])
     return left
 
 
-def simplest_predictive_law(
-    match: Callable[[MatchingWindows], TrajectoryMatching],
-    seen: MatchingWindows,
-    nq: int,
-    nv: int,
-    nu: int,
+@torch.no_grad()
+def held_out_remainders(
+    F: ActionTransformation,
+    task: Task,
+    model: mujoco.MjModel,
+    states: Tensor,
+    actions: Tensor,
+    first: np.ndarray,
     ridge: float,
-) -> tuple[np.ndarray, float]:
-    """Fit laws of the actions, of positions too, of velocities too; keep the simplest that predicts well.
-
-    Estimated velocities are noisy and, where things fall, proportional to positions; a law that may use both trades
-    one for the other, and is wrong wherever they part. What a law leaves is mostly systematic errors of the estimates,
-    which more coefficients explain a little of, on held-out episodes too: a larger law must be clearly better.
-
-    Returns:
-        Parameters (nu * (nq + nv + nu + 1),), refitted on all windows, and the robust scale of what is left, m or rad.
-    """
-    columns = np.arange(nu * (nq + nv + nu + 1)).reshape(nu, -1)
-    position, _, action = np.split(columns[:, :-1], [nq, nq + nv], 1)
-    base = np.concatenate([action, columns[:, -1:]], 1)
-    laws = [base, np.concatenate([base, position], 1), columns]
-    odd = np.unique(seen.episode, return_inverse=True)[1] % 2 == 1
-    if not odd.any():  # one long episode
-        odd[len(odd) // 2 :] = True
-    fit, held_out = match(seen.part(~odd)), match(seen.part(odd))
-    zero = np.zeros(columns.size)
-    fitted = [fit.fit(zero, law.ravel(), ridge)[0] for law in laws]
-    scores = [held_out.fit(p, np.zeros(0, int), ridge, 3)[1] for p in fitted]
-    best = next(i for i, score in enumerate(scores) if score <= CLEARLY_BETTER * min(scores))
-    log.info("what laws of actions, positions, velocities leave on held-out episodes: %s", np.round(scores, 6).tolist())
-    return match(seen).fit(fitted[best], laws[best].ravel(), ridge, 4)
+) -> list[float]:
+    """What every law leaves of held-out episodes, m or rad; the first is that of the actions as they are."""
+    return matching_problem(F, task, model, states, actions, first).compare(ridge)[1]

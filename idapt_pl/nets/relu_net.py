@@ -1,0 +1,64 @@
+"""A multilayer perceptron with ReLU as one step of autograd, on products that are quick on any CPU.
+
+PyTorch multiplies float32 matrices with MKL, which leaves half of what CPUs of other makers than Intel can do; oneDNN,
+which PyTorch brings along for convolutions, does not. One step for the whole net, forwards and backwards, also saves
+most of what small products cost around them. ``benchmarks/sac_speed.py`` measures both.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+def relu_net(net: nn.Sequential, x: Float[Tensor, "n i"], frozen: bool = False) -> Float[Tensor, "n o"]:
+    """What ``net(x)`` returns, for linear layers with ReLU between them.
+
+    Args:
+        net: as :func:`~idapt_pl.nets.mlp.mlp` makes it.
+        x: inputs.
+        frozen: gradients flow to ``x`` alone.
+    """
+    layers = [layer for layer in net if isinstance(layer, nn.Linear)]
+    if x.device.type != "cpu" or torch.is_autocast_enabled("cpu") or not torch.backends.mkldnn.is_available():
+        return net(x)
+    return ReLUNet.apply(x, frozen, *(p for layer in layers for p in (layer.weight, layer.bias)))
+
+
+def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, then: str = "none") -> Tensor:
+    """X W^T + b by oneDNN, ``then`` "relu" or nothing."""
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, then, [], "")
+
+
+class ReLUNet(torch.autograd.Function):
+    """Linear layers with ReLU between them; parameters are weight and bias of each layer in turn."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, frozen: bool, *parameters: Tensor) -> Tensor:
+        ctx.frozen = frozen
+        inputs, last = [], len(parameters) - 2
+        for i in range(0, len(parameters), 2):
+            inputs.append(x)
+            x = product(x, parameters[i], parameters[i + 1], "none" if i == last else "relu")
+        ctx.save_for_backward(*inputs, *parameters[::2])
+        return x
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        (g,), saved = gradients, ctx.saved_tensors
+        inputs, weights = saved[: len(saved) // 2], saved[len(saved) // 2 :]
+        found: list[Tensor | None] = [None] * (2 + 2 * len(weights))
+        for i in reversed(range(len(weights))):
+            if not ctx.frozen:
+                found[2 + 2 * i] = product(g.t(), inputs[i].t())
+                found[3 + 2 * i] = g.sum(0)
+            if i or ctx.needs_input_grad[0]:
+                g = product(g, weights[i].t())
+            if i:
+                g = torch.ops.aten.threshold_backward(g, inputs[i], 0)
+        found[0] = g if ctx.needs_input_grad[0] else None
+        return tuple(found)

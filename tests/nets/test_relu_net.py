@@ -1,0 +1,34 @@
+"""The net in one step is the net layer by layer."""
+
+import pytest
+import torch
+
+from idapt_pl.nets.mlp import mlp
+from idapt_pl.nets.relu_net import relu_net
+
+
+@pytest.mark.parametrize("hidden", [[32, 16], [8], []])
+def test_values_and_gradients_are_those_of_the_layers(hidden):
+    net, x = mlp(5, hidden, 3), torch.randn(7, 5, requires_grad=True)
+    leaves = [x, *net.parameters()]
+    expected, made = net(x), relu_net(net, x)
+    torch.testing.assert_close(made, expected)
+    for ours, theirs in zip(
+        torch.autograd.grad(made.square().sum(), leaves),
+        torch.autograd.grad(expected.square().sum(), leaves),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+
+
+def test_a_frozen_net_passes_gradients_on_and_takes_none():
+    net, x = mlp(5, [16], 3), torch.randn(7, 5, requires_grad=True)
+    relu_net(net, x, frozen=True).sum().backward()
+    assert all(p.grad is None for p in net.parameters())
+    torch.testing.assert_close(x.grad, torch.autograd.grad(net(x).sum(), x)[0])
+
+
+def test_without_onednn_the_layers_are_computed_one_by_one(monkeypatch):
+    net, x = mlp(5, [16], 3), torch.randn(7, 5)
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
+    assert torch.equal(relu_net(net, x), net(x))
