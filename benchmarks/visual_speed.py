@@ -16,9 +16,9 @@ memory as torchvision's transforms give them. The others are
 - ``bfloat16``: and autocast, where the device computes in it; ``channels_last``, ``compiled``: and those. Compiling for
   a CPU takes minutes, so these variants are measured there only if named.
 
-``waiting`` is the share of the time that the loop waits for data. ``share_of_peak`` is the arithmetic of a step (counted
-by PyTorch's FLOP counter) over what the same device does, with as many threads and in turns with the steps, in the
-fastest of some matrix products and convolutions of that precision.
+``waiting`` is the share of the time that the loop waits for data. ``share_of_peak`` is the arithmetic of a step
+(counted by PyTorch's FLOP counter) over what the same device does, with as many threads and in turns with the steps, in
+the fastest of some matrix products and convolutions of that precision.
 """
 
 from __future__ import annotations

@@ -67,9 +67,7 @@ class MotorConstant(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         names = [model.actuator(i).name for i in dc_motors(model)]
-        return with_shared(
-            [Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names]
-        )
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -89,9 +87,7 @@ class ActuatorKp(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         names = [model.actuator(i).name for i in servos(model)]
-        return with_shared(
-            [Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names]
-        )
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
 @dataclass(frozen=True)

@@ -53,10 +53,7 @@ class BodyMass(Effect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        return [
-            Candidate(cls, name, ("mass",), (m,), (m,), scaled_starts(m))
-            for name, m, _ in heavy_bodies(model)
-        ]
+        return [Candidate(cls, name, ("mass",), (m,), (m,), scaled_starts(m)) for name, m, _ in heavy_bodies(model)]
 
 
 def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:

@@ -105,14 +105,14 @@ class TypicalSizes:
         """What would stop each joint within a prediction, N·m or N, (nv,)."""
         return self.inertia * self.speed / self.horizon
 
+
 SCALED_STARTS = (0.1, 10**-0.5, 10**0.5, 10.0)
-"""Where fits of a value that cannot be below zero start too, in nominal values: as far down as up, whatever it is of."""
+"""Where fits of a value that cannot be below zero start too, in nominal values: as far down as up, whatever it is."""
 
 
 def scaled_starts(nominal: float) -> tuple[tuple[float], ...]:
     """The places of :data:`SCALED_STARTS` for one parameter; none where the nominal value is 0."""
     return tuple((f * nominal,) for f in SCALED_STARTS) if nominal else ()
-
 
 
 def shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:

@@ -23,9 +23,9 @@ POLICY_STEPS: dict[str, dict[str, tuple[int, int, int]]] = {
 }
 """Environment steps of π by task: in the plain source, before the first grounding step, and in each.
 
-The paper (appendix, Policy Training) has one length for every policy stage of a task. The authors' code trains longer at
-first, or on HalfCheetah and Walker2d asks for a checkpoint, here of its usual length. Neither has a policy of the plain
-source; it is the reference for direct transfer.
+The paper (appendix, Policy Training) has one length for every policy stage of a task. The authors' code trains longer
+at first, or on HalfCheetah and Walker2d asks for a checkpoint, here of its usual length. Neither has a policy of the
+plain source; it is the reference for direct transfer.
 """
 
 

@@ -1,7 +1,7 @@
 """A preset laid over any config gives what its name says: every value here is the paper's or its authors' code's."""
 
-import yaml
 import pytest
+import yaml
 from conftest import QUICK, ROOT, TINY
 
 from cli.fit import GroundingCLI
