@@ -5,9 +5,9 @@
 
 For each seed and number of exploratory target interactions a quick config is run twice, with ``--effects.discover``
 false and true. The second run takes over what both have in common, everything up to the first search
-for effects, so that they differ in nothing else. Writes results/curves.csv, a row a policy: the target interactions up
-to then (training only), its return in the target, and which effects had been added to the source; and the figure
-results/curves.png, a panel a config.
+for effects, so that they differ in nothing else. Writes results/curves.csv, a row a policy: the target
+interactions up to then (training only), its return in the target, and which effects had been added to the source; and
+the figure results/curves.png, a panel a config, which ``--draw`` draws anew.
 """
 
 from __future__ import annotations
@@ -114,9 +114,10 @@ def main() -> None:
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--images", type=int, nargs="+", default=[5000], help="exploratory target interactions")
     p.add_argument("--methods", choices=METHODS, nargs="+", default=METHODS)
+    p.add_argument("--draw", action="store_true", help="run nothing, only draw what is there")
     p.add_argument("--out", type=Path, default=ROOT / "results/curves.csv")
     o, extra = p.parse_known_args()
-    for images in o.images:
+    for images in o.images if not o.draw else ():
         for seed in o.seeds:
             about = {"config": o.config, "images": images, "seed": seed}
             config, name = ROOT / f"configs/{o.config}.yaml", f"curves_{o.config}_{images}"

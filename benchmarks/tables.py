@@ -121,6 +121,12 @@ def summary(results: Path = RESULTS) -> str:
     return markdown(("task", "effects", "seeds", "direct transfer", "step 0", "step 1", "oracle"), lines)
 
 
+def versions(rows: Iterable[Row]) -> str:
+    """The commits that rows come from, in their order; with ``+`` where files had been changed since."""
+    commits = dict.fromkeys(str(row["commit"]) for row in rows)
+    return " ".join(dict.fromkeys(c[:7] + "+" * c.endswith("dirty") for c in commits))
+
+
 def every_run(results: Path = RESULTS) -> str:
     """A row for each run that is in the tables."""
     keys = {f"{name}_quick": ("run",) for name in ("pendulum", "cheetah", "walker", "fetch", "sawyer")}
@@ -129,11 +135,12 @@ def every_run(results: Path = RESULTS) -> str:
     for table, key in keys.items():
         rows = read_rows(results / f"{table}.csv")
         for wanted in dict.fromkeys(tuple(row[k] for k in key) for row in rows):
-            mine = chosen(rows, dict(zip(key, wanted, strict=True)))
+            mine = sorted(chosen(rows, dict(zip(key, wanted, strict=True))), key=lambda row: int(row["seed"]))
             seeds, metric = " ".join(sorted({row["seed"] for row in mine})), mine[0].get("metric", "return")
             told = [mean_and_interval(values, metric) for values in by_stage(mine)]
-            lines.append((f"`{table}.csv`", ", ".join(wanted), seeds, *told))
-    return markdown(("table", "run", "seeds", "direct transfer", "step 0", "step 1"), lines)
+            cpus = "; ".join(dict.fromkeys(str(row["cpu"]).removeprefix("AMD ") for row in mine if row.get("cpu")))
+            lines.append((f"`{table}.csv`", ", ".join(wanted), seeds, *told, versions(mine), cpus))
+    return markdown(("table", "run", "seeds", "direct transfer", "step 0", "step 1", "commits", "CPU"), lines)
 
 
 def main() -> None:

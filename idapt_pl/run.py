@@ -157,6 +157,7 @@ class RunConfig:
             ValueError: if settings contradict each other.
         """
         values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
+        values["schedule"] = values["schedule"].for_task(values["task"], values["target"])
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
         made.check_encoder()
         return made

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import h5py
 import lightning as L
@@ -188,13 +189,52 @@ def test_run_folder_holds_what_the_contract_lists(finished_run):
     assert {"seed", "git_commit", "versions", "device"} <= set(provenance)
 
 
-def test_learning_changed_each_module(finished_run):
-    def path(k, stage):
-        return finished_run / f"step_{k:02d}/{stage}/final.ckpt"
+LEARNED = {
+    "state_predictor": ("P_S.encoder.", "P_S.mlp."),
+    "visual": ("G.", "G_back.", "D_T.", "D_S.", "P_T.encoder.convs.0."),
+    "dynamics": ("actor.", "value.", "D."),
+    "policy": ("actor.head.", "critic."),
+}
+"""Parts of each module that its stage trains."""
 
-    for stage in ("state_predictor", "visual", "policy"):
-        a, b = weights(path(0, stage)), weights(path(1, stage))
-        assert any(not torch.equal(a[k], b[k]) for k in a), f"{stage} was not trained in step 1"
+
+def begin_with(monkeypatch):
+    """From now on, what the module of each stage is before its first batch, by step and stage."""
+    begun = {}
+
+    def watching(self, step, stage, build, feed, *args, original=Stages.fit):
+        def watched(module, seed, device):
+            data = feed(module, seed, device)  # which may set a start
+            begun[step, stage] = {k: v.detach().clone() for k, v in module.state_dict().items()}
+            return data
+
+        return original(self, step, stage, build, watched, *args)
+
+    monkeypatch.setattr(Stages, "fit", watching)
+    return begun
+
+
+def changed_parts(before, after, parts):
+    """Which parts have a weight that is not what it was."""
+    return {p for p in parts if any(not torch.equal(before[k], after[k]) for k in before if k.startswith(p))}
+
+
+def test_every_stage_changes_what_it_is_to_train_and_learning_rates_of_zero_change_nothing(
+    finished_run, tiny_args, tmp_path, monkeypatch
+):
+    begun = begin_with(monkeypatch)
+    frozen = {f"{key}__{rate}": 0 for key, rate in (
+        ("state_predictor", "lr"), ("visual", "lr_generator"), ("visual", "lr_discriminator"), ("dynamics", "lr"),
+        ("dynamics", "lr_discriminator"), ("policy", "lr"),
+    )}  # fmt: skip
+    for name, rates in (("learning", {}), ("frozen", frozen)):
+        run = tmp_path / name
+        shutil.copytree(finished_run / "step_00", run / "step_00")
+        settings = {"schedule__grounding_steps": 1, "feeding__trial_episodes": 0, "feeding__garat_start": "identity"}
+        assert main(["fit", *tiny_args(run, **settings, **rates)]) == 0
+        for stage, parts in LEARNED.items():
+            changed = changed_parts(begun[1, stage], weights(run / f"step_01/{stage}/final.ckpt"), parts)
+            assert changed == (set(parts) if name == "learning" else set()), f"{stage}, {name}"
 
 
 def test_the_policy_sees_with_the_estimator_that_was_fitted_to_what_G_shows(finished_run):
@@ -218,10 +258,20 @@ def test_what_a_run_writes_is_json_to_other_languages_too(finished_run):
         json.loads(path.read_text(), parse_constant=refuse)
 
 
-def test_every_policy_stage_in_the_grounded_source_says_which_policy_went_on(finished_run):
-    for k in range(STEPS + 1):
-        told = json.loads((finished_run / f"step_{k:02d}/policy/stage.json").read_text())
-        assert told["kept"] == ("before" if told["trial_before"] > told["trial_after"] else "after")
+@pytest.mark.parametrize(("returns", "kept"), [((7.0, 3.0), "before"), ((3.0, 7.0), "after"), ((5.0, 5.0), "after")])
+def test_a_policy_that_does_worse_in_the_grounded_source_after_its_training_is_put_back(
+    finished_run, tiny_args, tmp_path, monkeypatch, returns, kept
+):
+    begun, answers = begin_with(monkeypatch), iter(returns)
+    monkeypatch.setattr("idapt_pl.stages.policy.evaluate", lambda *a, **k: SimpleNamespace(mean=next(answers)))
+    run = tmp_path / "run"
+    shutil.copytree(finished_run / "step_00", run / "step_00")
+    shutil.rmtree(run / "step_00/policy")
+    assert main(["fit", *tiny_args(run, schedule__grounding_steps=0)]) == 0
+    after, parts = weights(run / "step_00/policy/final.ckpt"), LEARNED["policy"]
+    assert changed_parts(begun[0, "policy"], after, parts) == (set() if kept == "before" else set(parts))
+    told = json.loads((run / "step_00/policy/stage.json").read_text())
+    assert (told["trial_before"], told["trial_after"], told["kept"]) == (*returns, kept)
 
 
 def test_discovery_that_could_not_read_positions_is_refused_before_anything_is_learned(tiny_args, tmp_path, capsys):

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect, find_elements, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, with_shared
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, scaled_starts, with_shared
 from idapt_pl.effects.runtime import CommandEffect
 
 
@@ -46,7 +46,7 @@ class ActuatorGain(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         names = [name for _, name in named_actuators(model)]
-        return with_shared([Candidate(cls, name, ("gain",), (1.0,), (0.3,), ((0.5,), (2.0,))) for name in names])
+        return with_shared([Candidate(cls, name, ("gain",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class MotorConstant(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         names = [model.actuator(i).name for i in dc_motors(model)]
-        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,)) for name in names])
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,7 @@ class ActuatorKp(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         names = [model.actuator(i).name for i in servos(model)]
-        starts = ((0.3,), (0.1,), (2.0,))
-        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), starts) for name in names])
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class ActuatorKv(Effect):
             if i in motors or (on_joint and model.actuator_biasprm[i, 2] >= 0):
                 continue
             kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
-            singles.append(Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), ((0.3 * kv,),)))
+            singles.append(Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), scaled_starts(kv)))
         return with_shared(singles)
 
 

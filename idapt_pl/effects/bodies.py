@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from idapt_pl.effects.base import Effect, find_elements, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies, scaled_starts
 
 
 def heavy_bodies(model: mujoco.MjModel) -> list[tuple[str, float, float]]:
@@ -53,10 +53,7 @@ class BodyMass(Effect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        return [
-            Candidate(cls, name, ("mass",), (m,), (m,), tuple((m * f,) for f in (0.3, 2.0, 5.0, 15.0, 40.0)))
-            for name, m, _ in heavy_bodies(model)
-        ]
+        return [Candidate(cls, name, ("mass",), (m,), (m,), scaled_starts(m)) for name, m, _ in heavy_bodies(model)]
 
 
 def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:

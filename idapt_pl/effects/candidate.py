@@ -106,6 +106,15 @@ class TypicalSizes:
         return self.inertia * self.speed / self.horizon
 
 
+SCALED_STARTS = (0.1, 10**-0.5, 10**0.5, 10.0)
+"""Where fits of a value that cannot be below zero start too, in nominal values: as far down as up, whatever it is."""
+
+
+def scaled_starts(nominal: float) -> tuple[tuple[float], ...]:
+    """The places of :data:`SCALED_STARTS` for one parameter; none where the nominal value is 0."""
+    return tuple((f * nominal,) for f in SCALED_STARTS) if nominal else ()
+
+
 def shared(singles: list[Candidate], target: str = "*") -> list[Candidate]:
     """One value for all of a kind: none for fewer than two, or where their nominal values differ."""
     if len(singles) < 2 or len({c.nominal for c in singles}) > 1:

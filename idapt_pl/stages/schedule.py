@@ -2,8 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+POLICY_STEPS: dict[str, dict[str, tuple[int, int, int]]] = {
+    "paper": {
+        "inverted_pendulum": (10_000, 10_000, 10_000),
+        "half_cheetah": (200_000, 200_000, 200_000),
+        "walker2d": (200_000, 200_000, 200_000),
+        "fetch_reach": (10_000, 10_000, 10_000),
+        "sawyer_push": (10_000, 10_000, 10_000),
+    },
+    "official": {
+        "inverted_pendulum": (10_000, 100_000, 10_000),
+        "half_cheetah": (500_000, 0, 100_000),
+        "walker2d": (500_000, 0, 100_000),
+        "fetch_reach": (10_000, 500_000, 10_000),
+        "sawyer_push": (10_000, 100_000, 10_000),
+    },
+}
+"""Environment steps of π by task: in the plain source, before the first grounding step, and in each.
+
+The paper (appendix, Policy Training) has one length for every policy stage of a task. The authors' code trains longer
+at first, or on HalfCheetah and Walker2d asks for a checkpoint, here of its usual length. Neither has a policy of the
+plain source; it is the reference for direct transfer.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,6 +73,8 @@ class Schedule:
         until_settled: end the run with the grounding step whose new recording of the target shows nothing that the
             grounded source does not do already, by images and actions alone; its policy stays. False always takes all
             steps (the paper).
+        lengths: ``given`` by the keys above; or those of the ``paper`` or of the authors' ``official`` code, where
+            ``grounding_steps``, ``source_policy`` and both ``policy`` depend on task and target, whatever is given.
     """
 
     grounding_steps: int = 5
@@ -64,3 +89,18 @@ class Schedule:
     accumulate: bool = False
     rollback: bool = False
     until_settled: bool = False
+    lengths: Literal["given", "paper", "official"] = "given"
+
+    def for_task(self, task: str, target: str) -> Schedule:
+        """This schedule with the lengths that ``lengths`` asks for, for a task and its target, by their names."""
+        steps = POLICY_STEPS.get(self.lengths, {}).get(task)
+        if steps is None:
+            return self
+        source, before, each = steps
+        return replace(
+            self,
+            grounding_steps=1 if (self.lengths, target) == ("paper", "easy") else 5,
+            source_policy=source,
+            pretrain=replace(self.pretrain, policy=before),
+            finetune=replace(self.finetune, policy=each),
+        )

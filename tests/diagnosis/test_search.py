@@ -45,6 +45,17 @@ def test_a_hidden_change_of_the_model_is_named_and_measured(edit, label, paramet
     assert error["after"] < 1.2 < error["before"]
 
 
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 6.0, 40.0])
+def test_a_mass_far_from_nominal_is_found_whichever_way_it_is_off(ratio):
+    """Beyond the ratios that fits start from too."""
+    others = ["joint_armature", "joint_damping", "joint_frictionloss", "actuator_gain", "actuator_delay"]
+    data = record(ARM.replace('mass="0.4"', f'mass="{0.4 * ratio}"'))
+    diagnosis, effects = found(data, candidates=["body_mass", *others])
+    assert (diagnosis.verdict, set(effects)) == ("effects_found", {("body_mass", "lower")})
+    mass = effects["body_mass", "lower"]["parameters"]["mass"]
+    assert mass["estimate"] == pytest.approx(0.4 * ratio, rel=0.05)
+
+
 def test_a_delay_is_named_and_its_twin_is_listed():
     _, effects = found(record(delay=4))
     assert set(effects) == {("actuator_delay", "*")}

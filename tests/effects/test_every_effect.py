@@ -203,3 +203,16 @@ def test_all_candidates_are_those_of_all_effects(nominal, typical):
     expected = [c for kind in EFFECTS.values() for c in kind.candidates(nominal, typical)]
     found = all_candidates(spec, typical)
     assert len(found) == len(expected) and sorted(map(repr, found)) == sorted(map(repr, expected))
+
+
+@pytest.mark.parametrize("name", ["body_mass", "actuator_gain", "actuator_kp", "actuator_kv", "motor_constant"])
+def test_where_a_search_starts_says_nothing_of_the_answer(name, nominal, typical):
+    """The same ratios of nominal for all of them, as far down as up."""
+    ratios = {
+        tuple(np.round(np.divide(c.starts, c.nominal).ravel(), 9))
+        for c in EFFECTS[name].candidates(nominal, typical)
+        if c.nominal[0]
+    }
+    assert len(ratios) == 1
+    logarithms = np.log(ratios.pop())
+    assert len(logarithms) and sorted(logarithms) == pytest.approx(sorted(-logarithms))

@@ -1,6 +1,7 @@
 """The LightningModules learn, on tiny fixed data, in seconds."""
 
 import copy
+from pathlib import Path
 
 import lightning as L
 import numpy as np
@@ -56,19 +57,36 @@ class Labels:
 # --- precision ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("can", "asked", "expected"),
-    [(True, True, torch.bfloat16), (False, True, torch.float32), (True, False, torch.float32)],
-)
-def test_bfloat16_is_used_where_it_is_asked_for_and_the_device_computes_in_it(monkeypatch, can, asked, expected):
-    monkeypatch.setattr(manual, "computes_bfloat16", lambda device: can)
-    conv = nn.Conv2d(3, 4, 3)
-    with manual.fast_precision(torch.device("cpu"), asked):
-        assert conv(torch.zeros(1, 3, 8, 8)).dtype == expected
+def test_bfloat16_that_a_device_does_not_compute_in_changes_no_bit(monkeypatch):
+    """On CPUs without, asking for it would be ten times as slow."""
+    settings = SMALL | {"state_dim": 2, "width": 4, "blocks": 1, "discriminator_width": 4}
+    torch.manual_seed(0)
+    asking, plain = (VisualTransformation(**settings | {"bf16": asked}).eval() for asked in (True, False))
+    plain.load_state_dict(asking.state_dict())
+    pixels = np.random.default_rng(0).integers(0, 256, (2, 1, SIZE, SIZE, 3), np.uint8)
+    with torch.no_grad():  # untrained, it is nearly grey whatever it is shown
+        asking.G.body[-1].weight *= 50
+        plain.G.body[-1].weight *= 50
+    expected = plain.translate(pixels)
+    monkeypatch.setattr(manual, "computes_bfloat16", lambda device: False)
+    assert np.array_equal(asking.translate(pixels), expected)
+    monkeypatch.setattr(manual, "computes_bfloat16", lambda device: True)
+    assert np.array_equal(plain.translate(pixels), expected), "and none where it is not asked for"
+    off = np.abs(asking.translate(pixels).astype(int) - expected)
+    assert off.max() > 0 and off.mean() < 0.1 * expected.std(), "other digits of the same image"
 
 
-def test_devices_without_bfloat16_are_known():
-    assert manual.computes_bfloat16("cpu") == torch.ops.mkldnn._is_mkldnn_bf16_supported()
+def cpu_flags():
+    """What Linux says that an x86 processor can do; None elsewhere."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    return next((set(line.split(":")[1].split()) for line in lines if line.startswith("flags")), None)
+
+
+@pytest.mark.skipif(cpu_flags() is None, reason="no x86 processor, or not on Linux")
+def test_processors_that_convolve_bfloat16_quickly_are_known():
+    """Those with AVX-512 for bytes and words, which oneDNN's kernels of bfloat16 are written in."""
+    assert manual.computes_bfloat16("cpu") == ({"avx512bw", "avx512vl", "avx512dq"} <= cpu_flags())
     assert not manual.computes_bfloat16("meta")
 
 

@@ -1,0 +1,132 @@
+"""A preset laid over any config gives what its name says: every value here is the paper's or its authors' code's."""
+
+import pytest
+import yaml
+from conftest import QUICK, ROOT, TINY
+
+from cli.fit import GroundingCLI
+from cli.main import main
+from idapt_pl.run import RunConfig
+
+CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
+PAPER = {
+    # Appendix: Policy Training
+    "image_size": 100, "vision.crop": 92, "frame_stack": 3, "policy.hidden": [1024, 1024], "policy.encoder": "learned",
+    "vision.strides": [2, 1, 1, 1], "vision.pool": "flatten", "vision.rates": "learned",
+    # Table II; and no costs, noise, teacher or choice of policies beside them
+    "policy.lr": 3e-4, "policy.lr_floor": 0.0, "feeding.policy_batch": 32, "feeding.updates_per_step": 10,
+    "policy.gamma": 0.99, "policy.temperature": 0.001, "policy.learn_temperature": False, "policy.action_cost": 0.0,
+    "policy.unfamiliarity_cost": 0.0, "policy.misperception": 0.0, "teacher.steps": 0, "teacher.adapt": 0,
+    "teacher.dagger": 0, "feeding.trial_episodes": 0,
+    # Appendix: Visual Transformation; equation 2
+    "state_predictor.lr": 3e-4, "schedule.pretrain.state_predictor": 40 * 20_000 // 32,
+    "schedule.pretrain.visual": 40 * 20_000 // 8, "schedule.finetune.state_predictor": 160,
+    "schedule.finetune.visual": 5 * 1000 // 8, "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
+    "visual.finetune_convs": 1, "visual.state_jitter": 0.0, "visual.reset_weight": 0.0,
+    # CycleGAN (Zhu et al. 2017, sec. 4 and 7), whose networks and settings the paper takes
+    "visual.width": 64, "visual.blocks": 9, "visual.background": False, "visual.discriminator_width": 64,
+    "visual.discriminator_layers": 3, "visual.gan_loss": "lsgan", "visual.pool_size": 50, "visual.cycle_weight": 10.0,
+    "visual.identity_weight": 5.0, "visual.contrastive_weight": 0.0, "visual.consistency_weight": 0.0,
+    "visual.ema_decay": 0.0, "visual.lr_generator": 2e-4, "visual.lr_discriminator": 2e-4, "visual.betas": [0.5, 0.999],
+    # Table III; Appendix: Action Transformation
+    "feeding.garat_rollout": 5000, "dynamics.lr": 3e-4, "dynamics.batch_size": 32, "dynamics.epochs": 5,
+    "dynamics.gamma": 0.5, "dynamics.entropy_weight": 1e-3, "dynamics.clip": 0.1, "dynamics.hidden": [1024, 1024],
+    "dynamics.smoothing": 0.95, "schedule.finetune.dynamics": 10, "feeding.garat_exploring": 0.0,
+    "feeding.garat_start": "identity",
+    # Section V-B; Fig. 4 (100 episodes); Appendix: Accumulating Data (not done by default)
+    "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
+    "schedule.accumulate": False, "schedule.exploration": "random", "schedule.action_transformation": True,
+    "schedule.rollback": False, "schedule.until_settled": False, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
+    # Open in the paper, from the authors' code
+    "feeding.visual_batch": 8, "feeding.buffer_size": 100_000, "visual.state_weight": 5.0, "policy.tau": 0.01,
+}  # fmt: skip
+OFFICIAL = PAPER | {
+    # SAC: batch, one step of the critics a step, a learned temperature from 0.1, constant rates
+    "feeding.policy_batch": 256, "feeding.updates_per_step": 1, "policy.learn_temperature": True,
+    "policy.temperature": 0.1, "policy.lr_floor": 1.0, "policy.actor_every": 2,
+    # visual: batches of 8 for P^S too, nine channels, smoothed labels, L1 on 0..255, rates, two convolutions
+    "feeding.state_predictor_batch": 8, "schedule.pretrain.state_predictor": 40 * 2500,
+    "schedule.finetune.state_predictor": 5 * 125, "visual.translate": "stack", "visual.blocks": 6,
+    "visual.gan_loss": "bce", "visual.pool_size": 0, "visual.cycle_weight": 127.5, "visual.identity_weight": 0.0,
+    "visual.lr_generator": 1e-4, "visual.lr_discriminator": 4e-4, "visual.finetune_convs": 2,
+    # GARAT: 50,000 steps in rollouts of 2000, sampled actions, PPO and D
+    "feeding.garat_rollout": 2000, "schedule.finetune.dynamics": 25, "dynamics.deterministic": False,
+    "dynamics.residual_scale": 1.0, "dynamics.lr": 3e-5, "dynamics.batch_size": 128, "dynamics.gamma": 0.99,
+    "dynamics.entropy_weight": 1e-4, "dynamics.clip": 0.2, "dynamics.lr_discriminator": 1e-2,
+    "dynamics.discriminator_batches": 15, "dynamics.gradient_penalty_weight": 10.0, "episodes": 10,
+}  # fmt: skip
+VALUES = {"paper": PAPER, "official": OFFICIAL}
+STEPS = {
+    "paper": {"half_cheetah": (200_000, 200_000), "walker2d": (200_000, 200_000)},
+    "official": {
+        "inverted_pendulum": (100_000, 10_000), "sawyer_push": (100_000, 10_000), "fetch_reach": (500_000, 10_000),
+        "half_cheetah": (0, 100_000), "walker2d": (0, 100_000),
+    },
+}  # fmt: skip
+"""Steps of the policy before the first grounding step and in each; in the paper else 10,000 (Appendix)."""
+
+
+def preset(name):
+    return ROOT / "configs" / "presets" / f"{name}.yaml"
+
+
+def parsed(*configs):
+    """The run's config, as it is trained, and what the command line parsed."""
+    cli = GroundingCLI([a for c in configs for a in ("--config", str(c))])
+    return cli.run().config, cli.config
+
+
+def told(config, key):
+    """A value of a parsed config by its dotted key; tuples as lists."""
+    value = config[key]
+    return list(value) if isinstance(value, tuple) else value
+
+
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize("config", CONFIGS, ids=lambda p: p.stem)
+def test_a_preset_over_any_config_gives_what_its_name_says(config, name):
+    run, cli = parsed(config, preset(name))
+    assert {key: told(cli, key) for key in VALUES[name]} == VALUES[name]
+    lengths = run.schedule.pretrain.policy, run.schedule.finetune.policy
+    assert lengths == STEPS[name].get(run.task, (10_000, 10_000)) and run.schedule.source_policy > 0
+    assert run.schedule.grounding_steps == (1 if name == "paper" and run.target == "easy" else 5)
+    alone = yaml.safe_load(config.read_text())
+    assert (run.task, run.target) == (alone["task"], alone["target"])
+
+
+@pytest.mark.parametrize("config", [c for c in CONFIGS if c.stem.endswith("_quick")], ids=lambda p: p.stem)
+def test_a_quick_config_under_the_papers_preset_is_the_config_of_the_papers_size(config):
+    """Nothing of the quick one is left, keys that the table above does not name included."""
+
+    def settings(run: RunConfig):
+        modules = {name: {k: v for k, v in m.items() if k != "bf16"} for name, m in run.modules.items()}
+        for key in ("estimator_updates", "lr_estimator"):  # of another encoder
+            del modules["policy"][key]
+        return run.__dict__ | {"modules": modules, "schedule": run.schedule.__dict__ | {"lengths": ""}}
+
+    hard, _ = parsed(config.with_stem(config.stem.replace("quick", "hard")))
+    assert settings(parsed(config, preset("paper"))[0]) == settings(hard)
+
+
+@pytest.mark.parametrize("config", [c for c in CONFIGS if not c.stem.endswith("_quick")], ids=lambda p: p.stem)
+def test_the_configs_of_the_papers_size_have_the_papers_values_already(config):
+    assert parsed(config)[0].schedule.__dict__ | {"lengths": ""} == (
+        parsed(config, preset("paper"))[0].schedule.__dict__ | {"lengths": ""}
+    )
+    assert parsed(config)[0].modules == parsed(config, preset("paper"))[0].modules
+
+
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize(
+    "task", ["pendulum", *(pytest.param(t, marks=pytest.mark.slow) for t in ("cheetah", "walker", "fetch", "sawyer"))]
+)
+def test_algorithm_1_starts_with_a_preset(task, name, tmp_path):
+    quick = QUICK.with_stem(f"{task}_quick")
+    small = TINY | {
+        "schedule.lengths": "given", "schedule.grounding_steps": 1, "run_dir": tmp_path / "run",
+        "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0, "feeding.trial_episodes": 0,
+        "feeding.buffer_size": 100,
+    }  # fmt: skip
+    overrides = [f"--{k}={v}" for k, v in small.items()]
+    assert main(["fit", "--config", str(quick), "--config", str(preset(name)), *overrides]) == 0
+    assert (tmp_path / "run/step_01/dynamics/final.ckpt").exists()
