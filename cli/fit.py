@@ -13,10 +13,13 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli.provenance import claim, write_provenance
+from cli.run_folder import resumed_in_place
 from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
+from idapt_pl.files import read_yaml
 from idapt_pl.report.run_page import write_run_report
-from idapt_pl.run import Run, RunConfig, without_retired
+from idapt_pl.run import Run, RunConfig
+from idapt_pl.run_folder.kept_config import without_retired
 from idapt_pl.stage import stage_trainer_settings
 
 
@@ -72,19 +75,20 @@ def current(argument: str) -> str:
     path = Path(argument)
     if path.name != "config.yaml" or not path.is_file():
         return argument
-    entries = yaml.safe_load(path.read_text())
+    entries = read_yaml(path)
     kept = without_retired(entries) if isinstance(entries, dict) else entries
     return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
 
 
 def main(args: list[str]) -> int:
     """Run ``idapt fit``."""
-    cli = GroundingCLI([current(a) for a in args])
+    cli = GroundingCLI([current(a) for a in resumed_in_place(args)])
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
     with claim(run.folder):
         write_provenance(cli.parser, cli.config, run.folder)
+        run.restore_ledger()
         summary = run.grounding.run()
         if run.config.oracle:
             train_oracle(run.grounding)

@@ -1,0 +1,143 @@
+"""Target interactions that the files of a run folder hold: what the ledger must say."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from datamodules.trajectories import count_steps
+from idapt_pl.files import blaming, read_json, verify
+
+VIDEO = "policy_in_grounded_and_target"
+VIDEO_STEPS = 75
+"""Control steps of the video that an evaluation leaves."""
+
+DIRECT_TRANSFER = "evaluation of direct transfer"
+ORACLE, ORACLE_EVALUATION = "oracle reference", "evaluation of the oracle"
+
+KNOWN = re.compile(
+    rf"training|evaluation|{DIRECT_TRANSFER}|{ORACLE}|{ORACLE_EVALUATION}|evaluation of .+, \d+ episodes, seed -?\d+"
+)
+"""Purposes whose interactions are in files that are known here; entries of others are left as they are."""
+
+
+def evaluation_interactions(folder: Path, result: dict) -> int:
+    """Of the evaluation of a grounding step: its episodes, and its video, which older results do not count.
+
+    Args:
+        folder: of the step.
+        result: its ``evaluation.json``.
+    """
+    older = VIDEO_STEPS if (folder / f"{VIDEO}.gif").exists() else 0
+    return result["target"]["interactions"] + result.get("video_interactions", older)
+
+
+def oracle_interactions(folder: Path, num_envs: int, warmup_steps: int) -> int:
+    """Of the oracle reference: its labelled images, and its training once that is done.
+
+    Args:
+        folder: of step 0.
+        num_envs: simulations side by side.
+        warmup_steps: before training, as the config has them.
+    """
+    verify(folder / "oracle.h5")
+    images, trained = count_steps(folder / "oracle.h5"), folder / "oracle/stage.json"
+    if not trained.with_name("final.ckpt").exists():
+        return images
+    batches = read_json(trained, ("batches",))["batches"]
+    return images + num_envs * (batches + math.ceil(warmup_steps / num_envs))
+
+
+def later_evaluation(policy: str, episodes: int, seed: int) -> str:
+    """The purpose of what ``idapt evaluate`` does."""
+    return f"evaluation of {policy}, {episodes} episodes, seed {seed}"
+
+
+def entry(step: int, purpose: str, count: int) -> dict[str, Any]:
+    """An entry of the ledger."""
+    return {"step": step, "purpose": purpose, "count": int(count)}
+
+
+def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list[dict], list[str]]:
+    """Ledger entries that the files of a run folder are proof of.
+
+    Args:
+        run: the folder.
+        num_envs: as of :func:`oracle_interactions`.
+        warmup_steps: as of :func:`oracle_interactions`.
+
+    Returns:
+        The entries, and what is wrong with files that cannot be read.
+    """
+    entries, unreadable = [], []
+    for path, read in proofs(run, num_envs, warmup_steps):
+        try:
+            with blaming(path):
+                entries += read()
+        except ValueError as error:
+            unreadable.append(str(error))
+    return entries, unreadable
+
+
+def proofs(run: Path, num_envs: int, warmup_steps: int) -> Iterator[tuple[Path, Callable[[], list[dict]]]]:
+    """Files that hold target interactions, and what reads their entries."""
+    for folder in sorted(run.glob("step_[0-9]*")):
+        step = int(folder.name.removeprefix("step_"))
+        found: dict[str, Callable[[Path], dict]] = {
+            "target.h5": lambda path, step=step: entry(step, "training", verified_steps(path)),
+            "evaluation.json": lambda path, step=step: entry(
+                step, "evaluation", evaluation_interactions(path.parent, read_json(path))
+            ),
+        }
+        if step == 0:
+            found |= {
+                "direct_transfer.json": lambda path: entry(0, DIRECT_TRANSFER, read_json(path)["interactions"]),
+                "oracle.h5": lambda path: entry(0, ORACLE, oracle_interactions(path.parent, num_envs, warmup_steps)),
+                "oracle_evaluation.json": lambda path: entry(0, ORACLE_EVALUATION, read_json(path)["interactions"]),
+            }
+        for name, read in found.items():
+            if (path := folder / name).exists():
+                yield path, lambda path=path, read=read: [read(path)]
+    for path in sorted(run.glob("evaluation_*.json")):
+        yield (
+            path,
+            lambda path=path: later_entries(read_json(path, cure="Delete it, or run the same `idapt evaluate` again.")),
+        )
+
+
+def verified_steps(path: Path) -> int:
+    """Control steps of a recording that is as it was written."""
+    verify(path)
+    return count_steps(path)
+
+
+def later_entries(result: dict) -> list[dict]:
+    """Entries of a file that ``idapt evaluate`` wrote."""
+    return [
+        entry(-1, later_evaluation(name, result["episodes"], result["seed"]), domains["target"]["interactions"])
+        for name, domains in result["policies"].items()
+    ]
+
+
+def reconciled(entries: list[dict], held: list[dict]) -> list[dict]:
+    """What the ledger should have: what files are proof of, and entries of purposes that are not known here."""
+    return held + [e for e in entries if not KNOWN.fullmatch(e["purpose"])]
+
+
+def disagreements(entries: list[dict], held: list[dict]) -> list[str]:
+    """How a ledger differs from what the files of its run hold, a sentence each."""
+
+    def counts(listed: list[dict]) -> dict[tuple[int, str], int]:
+        return {(e["step"], e["purpose"]): e["count"] for e in listed}
+
+    noted, real = counts(entries), counts(reconciled(entries, held))
+    told = []
+    for key in sorted({*noted, *real}):
+        if noted.get(key) != real.get(key):
+            says = f"the ledger says {noted[key]}" if key in noted else "the ledger has no entry"
+            holds = f"the files hold {real[key]}" if key in real else "no file holds them"
+            told.append(f"step {key[0]}, {key[1]}: {says}, {holds}")
+    return told
