@@ -30,8 +30,9 @@ def main(args: list[str]) -> int:
         "seed": o.seed,
         "policies": measure_policies(run, o.episodes, o.seed),
     }
-    write_json(o.run / f"evaluation_{o.episodes}_{o.seed}.json", result, checked=True)
-    for entry in later_entries(result):
+    path = o.run / f"evaluation_{o.episodes}_{o.seed}.json"
+    write_json(path, result, checked=True)
+    for entry in later_entries(path):
         run.worlds.ledger.enter(entry["step"], entry["purpose"], entry["count"])
     if o.json:
         print(json.dumps(result, indent=2))

@@ -41,8 +41,8 @@ def main(args: list[str]) -> int:
     wrong = [*unreadable, *([] if unreadable else disagreements(entries, held))]
     result = {"run": str(o.run), "training_total": training_interactions(entries), "entries": entries}
     print(json.dumps(result | {"disagreements": wrong}, indent=2) if o.json else ledger_table(entries))
-    for told in wrong:
-        print(told, file=sys.stderr)
+    for line in wrong:
+        print(line, file=sys.stderr)
     return 1 if wrong else 0
 
 

@@ -38,7 +38,7 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
     path, _ = stages.record(0, "oracle", collect_labelled)
     predictor = fit_P_S(c, 0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
     policy = fit_policy(c, 0, "oracle", make_env, steps, predictor.P_S, [path])
-    taken = oracle_interactions(stages.folder(0), c.batches.num_envs, c.batches.warmup_steps)
+    taken = oracle_interactions(path, c.batches.num_envs, c.batches.warmup_steps)
     worlds.ledger.enter(0, ORACLE, taken)
     result = stages.measure(0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed))
     worlds.ledger.enter(0, ORACLE_EVALUATION, result["interactions"])

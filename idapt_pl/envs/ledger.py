@@ -99,7 +99,8 @@ class Ledger:
             before = [] if anew else self.entries
             after = sorted(new(before), key=ledger_order)
             if anew or after != before:
-                write_json(self.path, {"training_total": training_interactions(after), "entries": after})
+                content = {"training_total": training_interactions(after), "entries": after}
+                write_json(self.path, content, checked=True)
 
 
 def training_interactions(entries: list[dict]) -> int:

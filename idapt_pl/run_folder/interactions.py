@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +36,15 @@ def evaluation_interactions(folder: Path, result: dict) -> int:
     return result["target"]["interactions"] + result.get("video_interactions", older)
 
 
-def oracle_interactions(folder: Path, num_envs: int, warmup_steps: int) -> int:
+def oracle_interactions(recording: Path, num_envs: int, warmup_steps: int) -> int:
     """Of the oracle reference: its labelled images, and its training once that is done.
 
     Args:
-        folder: of step 0.
+        recording: ``oracle.h5``, its labelled images.
         num_envs: simulations side by side.
         warmup_steps: before training, as the config has them.
     """
-    verify(folder / "oracle.h5")
-    images, trained = count_steps(folder / "oracle.h5"), folder / "oracle/stage.json"
+    images, trained = recorded_steps(recording), recording.with_name("oracle") / "stage.json"
     if not trained.with_name("final.ckpt").exists():
         return images
     batches = read_json(trained, ("batches",))["batches"]
@@ -72,50 +72,65 @@ def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list
     Returns:
         The entries, and what is wrong with files that cannot be read.
     """
-    entries, unreadable = [], []
-    for path, read in proofs(run, num_envs, warmup_steps):
+    entries: list[dict] = []
+    unreadable: list[str] = []
+
+    def collect(path: Path, read: Callable[[Path], list[dict]]) -> None:
         try:
             with blaming(path):
-                entries += read()
+                entries.extend(read(path))
         except ValueError as error:
             unreadable.append(str(error))
+
+    for folder in sorted(run.glob("step_[0-9]*")):
+        step = int(folder.name.removeprefix("step_"))
+        for name, (purpose, count) in counted_files(step, num_envs, warmup_steps).items():
+            if (folder / name).exists():
+                collect(folder / name, partial(counted_entries, step, purpose, count))
+    for path in sorted(run.glob("evaluation_*.json")):
+        collect(path, later_entries)
     return entries, unreadable
 
 
-def proofs(run: Path, num_envs: int, warmup_steps: int) -> Iterator[tuple[Path, Callable[[], list[dict]]]]:
-    """Files that hold target interactions, and what reads their entries."""
-    for folder in sorted(run.glob("step_[0-9]*")):
-        step = int(folder.name.removeprefix("step_"))
-        found: dict[str, Callable[[Path], dict]] = {
-            "target.h5": lambda path, step=step: entry(step, "training", verified_steps(path)),
-            "evaluation.json": lambda path, step=step: entry(
-                step, "evaluation", evaluation_interactions(path.parent, read_json(path))
-            ),
+def counted_files(step: int, num_envs: int, warmup_steps: int) -> dict[str, tuple[str, Callable[[Path], int]]]:
+    """Files of a grounding step that hold target interactions, by name: their purpose, and what counts them."""
+    files: dict[str, tuple[str, Callable[[Path], int]]] = {
+        "target.h5": ("training", recorded_steps),
+        "evaluation.json": ("evaluation", evaluated_steps),
+    }
+    if step == 0:
+        files |= {
+            "direct_transfer.json": (DIRECT_TRANSFER, measured_steps),
+            "oracle.h5": (ORACLE, partial(oracle_interactions, num_envs=num_envs, warmup_steps=warmup_steps)),
+            "oracle_evaluation.json": (ORACLE_EVALUATION, measured_steps),
         }
-        if step == 0:
-            found |= {
-                "direct_transfer.json": lambda path: entry(0, DIRECT_TRANSFER, read_json(path)["interactions"]),
-                "oracle.h5": lambda path: entry(0, ORACLE, oracle_interactions(path.parent, num_envs, warmup_steps)),
-                "oracle_evaluation.json": lambda path: entry(0, ORACLE_EVALUATION, read_json(path)["interactions"]),
-            }
-        for name, read in found.items():
-            if (path := folder / name).exists():
-                yield path, lambda path=path, read=read: [read(path)]
-    for path in sorted(run.glob("evaluation_*.json")):
-        yield (
-            path,
-            lambda path=path: later_entries(read_json(path, cure="Delete it, or run the same `idapt evaluate` again.")),
-        )
+    return files
 
 
-def verified_steps(path: Path) -> int:
+def counted_entries(step: int, purpose: str, count: Callable[[Path], int], path: Path) -> list[dict]:
+    """The entry of a file that holds one."""
+    return [entry(step, purpose, count(path))]
+
+
+def recorded_steps(path: Path) -> int:
     """Control steps of a recording that is as it was written."""
     verify(path)
     return count_steps(path)
 
 
-def later_entries(result: dict) -> list[dict]:
+def measured_steps(path: Path) -> int:
+    """Control steps that a measurement took."""
+    return read_json(path)["interactions"]
+
+
+def evaluated_steps(path: Path) -> int:
+    """Control steps of the evaluation of a grounding step."""
+    return evaluation_interactions(path.parent, read_json(path))
+
+
+def later_entries(path: Path) -> list[dict]:
     """Entries of a file that ``idapt evaluate`` wrote."""
+    result = read_json(path, cure="Delete it, or run the same `idapt evaluate` again.")
     return [
         entry(-1, later_evaluation(name, result["episodes"], result["seed"]), domains["target"]["interactions"])
         for name, domains in result["policies"].items()

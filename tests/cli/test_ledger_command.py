@@ -6,6 +6,7 @@ import shutil
 import pytest
 
 from cli.main import main
+from idapt_pl.files import read_json
 
 
 @pytest.fixture
@@ -29,13 +30,13 @@ def test_a_table_by_step_and_purpose_and_the_methods_total(run, capsys):
 
 def test_as_json(run, capsys):
     code, printed = ledger(run, capsys, "--json")
-    kept = json.loads((run / "ledger.json").read_text())
+    kept = read_json(run / "ledger.json")
     assert (code, json.loads(printed.out)) == (0, {"run": str(run), **kept, "disagreements": []})
 
 
 def test_each_disagreement_is_a_line_until_it_is_repaired(run, capsys):
     before = (run / "ledger.json").read_bytes()
-    content = json.loads(before)
+    content = read_json(run / "ledger.json")
     content["entries"][0]["count"] += 1
     content["entries"].append({"step": 9, "purpose": "training", "count": 50})
     (run / "ledger.json").write_text(json.dumps(content))
