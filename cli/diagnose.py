@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import yaml
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -39,6 +38,7 @@ from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.wording import format_number, phrase_at
+from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
@@ -136,10 +136,7 @@ def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected a list of effects (YAML)")
-    try:
-        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    entries = read_yaml(path)
     if not isinstance(entries, list):
         raise ValueError(f"{path}: expected a list of effects, got {type(entries).__name__}; see idapt diagnose --help")
     spec, effects = model.copy(), []

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.markup import escape
 from tqdm import tqdm
@@ -21,7 +20,7 @@ from idapt_pl.appearance.discovery import discover_visual_effects
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.wording import format_number
 from idapt_pl.envs import VectorImageEnv
-from idapt_pl.files import write_atomically
+from idapt_pl.files import write_atomically, write_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.image_diagnosis.calibration import CalibratedReadings, read_calibrated
 from idapt_pl.image_diagnosis.forecast_diagnosis import diagnose_by_forecasts
@@ -112,7 +111,7 @@ def report_visual_effects(run: Run, data: Path, out: Path, seed: int) -> None:
     found = discover_visual_effects(worlds.task, worlds.source_domain, data, seed, worlds.view)
     out.mkdir(parents=True, exist_ok=True)
     effects = [e.to_dict() for e in found.effects]
-    write_atomically(out / "looks.yaml", lambda path: path.write_text(yaml.safe_dump(effects)))
+    write_yaml(out / "looks.yaml", effects)
     write_atomically(out / "looks.png", lambda path: path.write_bytes(base64.b64decode(found.picture)))
     names = ", ".join(f"{e.effect} of {e.target}" for e in found.estimates) or "none was found"
     before, after, floor = map(format_number, (found.before, found.after, found.floor))

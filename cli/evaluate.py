@@ -11,6 +11,7 @@ from idapt_pl.files import write_json
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.run import Run
+from idapt_pl.run_folder.interactions import later_entries
 
 
 def main(args: list[str]) -> int:
@@ -22,13 +23,17 @@ def main(args: list[str]) -> int:
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
     run = Run.open(o.run)
+    run.restore_ledger()
     result = {
         "run": str(o.run),
         "episodes": o.episodes,
         "seed": o.seed,
         "policies": measure_policies(run, o.episodes, o.seed),
     }
-    write_json(o.run / f"evaluation_{o.episodes}_{o.seed}.json", result)
+    path = o.run / f"evaluation_{o.episodes}_{o.seed}.json"
+    write_json(path, result, checked=True)
+    for entry in later_entries(path):
+        run.worlds.ledger.enter(entry["step"], entry["purpose"], entry["count"])
     if o.json:
         print(json.dumps(result, indent=2))
         return 0
@@ -52,9 +57,6 @@ def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
         for domain, env in envs.items():
             with closing(env):
                 results[name][domain] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
-        worlds.ledger.enter(
-            -1, f"evaluation of {name}, {episodes} episodes, seed {seed}", results[name]["target"]["interactions"]
-        )
     return results
 
 

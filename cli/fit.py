@@ -16,10 +16,13 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli.aside import OtherProcesses, processes_beside
 from cli.provenance import claim, write_provenance
+from cli.run_folder import resumed_in_place
 from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
+from idapt_pl.files import read_yaml
 from idapt_pl.report.run_page import write_run_report
-from idapt_pl.run import Run, RunConfig, without_retired
+from idapt_pl.run import Run, RunConfig
+from idapt_pl.run_folder.kept_config import without_retired
 from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
 
@@ -81,7 +84,7 @@ def current(argument: str) -> str:
     path = Path(argument)
     if path.name != "config.yaml" or not path.is_file():
         return argument
-    entries = yaml.safe_load(path.read_text())
+    entries = read_yaml(path)
     kept = without_retired(entries) if isinstance(entries, dict) else entries
     return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
 
@@ -104,12 +107,13 @@ def ended(aside: Aside) -> Iterator[None]:
 
 def main(args: list[str]) -> int:
     """Run ``idapt fit``."""
-    cli = GroundingCLI([current(a) for a in args])
+    cli = GroundingCLI([current(a) for a in resumed_in_place(args)])
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
     with claim(run.folder), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
+        run.restore_ledger()
         evaluations = run.grounding.run()
         summary = run.evaluation.summary(evaluations)
         if run.config.oracle:

@@ -15,6 +15,7 @@ COMMANDS = {
     "visual": "train and use the visual transformation alone, on any two sets of images",
     "collect": "write a trajectory file from a task, domain and policy",
     "gallery": "pictures of all tasks and domains, and a table of what differs",
+    "ledger": "the target interactions of a run, checked against its files",
     "evaluate": "target and source returns of a finished run",
     "report": "the story of a run, finished or not, as one HTML page",
     "diagnose": "find the physical effects that a model lacks, from recordings",

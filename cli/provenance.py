@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import platform
 import subprocess
 from collections.abc import Iterator
@@ -16,23 +15,18 @@ import yaml
 from filelock import FileLock, Timeout
 from jsonargparse import ArgumentParser, Namespace
 
-from idapt_pl.files import write_atomically, write_json
+from datamodules.atomic import remove_stale
+from idapt_pl.files import write_bytes, write_json
 from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.rendering.make import filament_is_used
-from idapt_pl.run import without_retired
-
-CHANGE_NOTHING = {
-    "config", "trainer", "oracle", "ckpt_path", "weights_only", "predictions", "quality", "workers",
-    "render_processes", "threads", "side_by_side",
-}  # fmt: skip
-"""Keys that may differ in a resumed run."""
+from idapt_pl.run_folder.kept_config import changed_keys, filled, read_kept_config, read_run_json, without_retired
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
 
 
 @contextmanager
 def claim(run_dir: Path) -> Iterator[None]:
-    """Keep a run folder to this process: two must not write to one.
+    """Keep a run folder to this process: two must not write to one. What a killed one left half-written is removed.
 
     Raises:
         ValueError: if another process is at work in it.
@@ -46,6 +40,7 @@ def claim(run_dir: Path) -> Iterator[None]:
             f"another process is at work in {run_dir}. Wait until it has ended, or choose another --run_dir."
         ) from None
     try:
+        remove_stale(run_dir)
         yield
     finally:
         lock.release()
@@ -57,19 +52,19 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     ``run.json`` says what the run was started with; every later start is added to its list ``resumed``.
 
     Raises:
-        ValueError: if the folder holds a run with another config.
+        ValueError: if the folder holds a run with another config, or a file of it is damaged.
     """
     text = parser.dump(config, skip_none=False)
-    path = run_dir / "config.yaml"
-    if path.exists():
+    path, kept, asked = run_dir / "config.yaml", read_kept_config(run_dir), yaml.safe_load(text)
+    if kept is not None:
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
-        before = filled(without_retired(yaml.safe_load(path.read_text())), defaults)
-        if different := changed_keys(before, yaml.safe_load(text)):
+        if different := changed_keys(filled(without_retired(kept), defaults), asked):
             raise ValueError(
                 f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
                 f"Choose another --run_dir, or resume with --config {path}."
             )
-    write_atomically(path, lambda p: p.write_text(text))
+    first = read_run_json(run_dir)
+    write_bytes(path, text.encode())
     now = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": config.get("seed", config.get("seed_everything")),
@@ -83,31 +78,8 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
         "filament": filament_is_used(),
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
     }
-    path = run_dir / "run.json"
-    if path.exists():
-        first = json.loads(path.read_text())
-        now = first | {"resumed": [*first.get("resumed", []), now]}
-    write_json(path, now)
-
-
-def filled(config: dict, defaults: dict) -> dict:
-    """A config with the defaults of keys that it does not have: it may be of a version that did not know them yet."""
-    nested = {
-        k: filled(config[k], v) for k, v in defaults.items() if isinstance(v, dict) and isinstance(config.get(k), dict)
-    }
-    return defaults | config | nested
-
-
-def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
-    """Dotted keys whose values differ, but for those that change nothing of what a run has done so far."""
-    keys = []
-    for key in sorted({*old, *new} - CHANGE_NOTHING):
-        a, b = old.get(key), new.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            keys += changed_keys(a, b, f"{prefix}{key}.")
-        elif a != b:
-            keys.append(prefix + key)
-    return keys
+    told = first | {"resumed": [*first.get("resumed", []), now]} if first else now
+    write_json(run_dir / "run.json", told | {"config": asked}, checked=True)
 
 
 def git_commit() -> str | None:

@@ -17,9 +17,12 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli import visual_export
 from cli.provenance import write_provenance
+from cli.run_folder import resumed_in_place
 from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
+from datamodules.atomic import remove_stale
 from datamodules.images import ImageDomains
+from idapt_pl.checkpoints import read_checkpoint
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.modules.state_predictor import fit_state_predictor
@@ -126,9 +129,12 @@ class VisualCLI(LightningCLI):
         Raises:
             ValueError: if the folder holds a run with another config.
         """
+        if self.run_dir.is_dir():
+            remove_stale(self.run_dir)
         write_provenance(self._parser("fit"), self.config["fit"], self.run_dir)
         last = self.run_dir / "last.ckpt"
         if self.options.ckpt_path is None and last.exists():
+            read_checkpoint(last, "Delete it, and the same command begins anew.")  # the Trainer would not look
             self.options.ckpt_path = str(last)
             log.info("going on from %s", last)
         metrics = self.run_dir / "metrics.csv"
@@ -192,5 +198,5 @@ def main(args: list[str]) -> int:
     """Run ``idapt visual fit|validate|test|predict|export``."""
     if args[:1] == ["export"]:
         return visual_export.main(args[1:])
-    VisualCLI(args)
+    VisualCLI(resumed_in_place(args))
     return 0

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
+import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
 import numpy as np
+
+from datamodules.atomic import remove_stale, write_bytes
 
 
 class TrajectoryFileError(ValueError):
@@ -104,16 +106,20 @@ def content_hash(episodes: Iterable[Episode]) -> str:
 
 
 def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
-    """Write a trajectory file: to a temporary name, closed, then renamed. A full disk leaves nothing behind.
+    """Write a trajectory file: built in memory, to a temporary name, then renamed. A full disk leaves nothing behind.
+
+    HDF5 itself never sees the disk: a full one crashes the library. While it is written, a file takes as much memory
+    as it will take on disk, compressed, beside what ``trajectories`` take.
 
     Raises:
         OSError: if it could not be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    if path.parent.is_dir():
+        remove_stale(path)
+    buffer = io.BytesIO()
     try:
-        with h5py.File(temporary, "w") as f:
+        with h5py.File(buffer, "w") as f:
             f.attrs.update(
                 total_episodes=len(trajectories),
                 total_steps=trajectories.total_steps,
@@ -122,13 +128,9 @@ def write_trajectories(path: Path | str, trajectories: Trajectories) -> None:
             )
             for i, episode in enumerate(trajectories):
                 _write_episode(f.create_group(f"episode_{i}"), i, episode)
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:  # h5py reports a full disk as either
-        raise OSError(
-            f"could not write {path}: {error}. Nothing was left half-written; free some space and retry."
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as error:
+        raise OSError(f"could not write {path}: {error}. Nothing was left half-written.") from None
+    write_bytes(path, buffer.getbuffer())
 
 
 def read_trajectories(path: Path | str) -> Trajectories:
@@ -139,7 +141,26 @@ def read_trajectories(path: Path | str) -> Trajectories:
     """
     with open_trajectory_file(path) as f:
         episodes = tuple(_read_episode(path, f, i) for i in range(int(f.attrs["total_episodes"])))
-        return Trajectories(episodes, float(f.attrs["dt"]), str(f.attrs.get("source", "")))
+        trajectories = Trajectories(episodes, float(f.attrs["dt"]), str(f.attrs.get("source", "")))
+        noted = int(f.attrs["total_steps"])
+    if trajectories.total_steps != noted:
+        raise TrajectoryFileError(
+            f"{path}: its episodes have {trajectories.total_steps} actions, but its attribute total_steps is {noted}"
+        )
+    return trajectories
+
+
+def count_steps(path: Path | str) -> int:
+    """Control steps in a trajectory file: the actions that it holds, whatever its attributes say.
+
+    Raises:
+        TrajectoryFileError: if they cannot be read.
+    """
+    with open_trajectory_file(path) as f:
+        try:
+            return sum(len(group["actions"]) for name, group in f.items() if name.startswith("episode_"))
+        except Exception as error:
+            raise TrajectoryFileError(f"{path}: its actions cannot be counted: {error}") from None
 
 
 def open_trajectory_file(path: Path | str) -> h5py.File:
@@ -153,13 +174,17 @@ def open_trajectory_file(path: Path | str) -> h5py.File:
         raise TrajectoryFileError(f"{path}: no such file; expected a trajectory file (HDF5)")
     try:
         f = h5py.File(path, "r")
-    except OSError as error:
+    except Exception as error:  # h5py reports damage as any of its errors
         raise TrajectoryFileError(f"{path}: not a readable HDF5 file (truncated or of another kind): {error}") from None
-    if missing := [k for k in ("total_episodes", "total_steps", "dt") if k not in f.attrs]:
-        f.close()
-        raise TrajectoryFileError(
-            f"{path}: not a trajectory file: root attribute {missing[0]!r} is missing; see docs/reference/files.md"
-        )
+    for name, number in {"total_episodes": int, "total_steps": int, "dt": float}.items():
+        try:
+            number(f.attrs[name])
+        except Exception as error:
+            f.close()
+            told = "is missing" if isinstance(error, KeyError) else f"cannot be read: {error}"
+            raise TrajectoryFileError(
+                f"{path}: not a trajectory file: root attribute {name!r} {told}; see docs/reference/files.md"
+            ) from None
     return f
 
 
@@ -189,7 +214,7 @@ def _read_episode(path: Path | str, f: h5py.File, i: int) -> Episode:
         )
     except KeyError as error:
         raise TrajectoryFileError(f"{where}: expected a group or dataset that is missing: {error}") from None
-    except OSError as error:
-        raise TrajectoryFileError(f"{where}: could not be read, the file may be truncated: {error}") from None
     except ValueError as error:
         raise TrajectoryFileError(f"{where}: {error}") from None
+    except Exception as error:  # h5py reports damage as any of its errors
+        raise TrajectoryFileError(f"{where}: could not be read, the file may be damaged: {error}") from None

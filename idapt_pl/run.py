@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import functools
-import json
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from jsonargparse import ArgumentParser, Namespace
 
 from idapt_pl.effects import View, effect_from_dict
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
+from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
 from idapt_pl.rendering.parallel import usual_processes
+from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
+from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
@@ -29,6 +31,8 @@ from idapt_pl.stages.schedule import Schedule
 from idapt_pl.stages.settings import BatchSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
+
+log = logging.getLogger(__name__)
 
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
 """Constructor arguments that the task and the data determine, never typed in a config."""
@@ -50,19 +54,6 @@ SETTINGS: dict[str, type] = {
     "vision": Vision,
 }
 """Everything else that a config sets, by its key."""
-
-
-RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}}
-"""Keys that older configs have, and the value at which leaving them out changes nothing."""
-
-
-def without_retired(entries: dict[str, Any]) -> dict[str, Any]:
-    """A config without keys that are gone, unless they say something; then the parser names them."""
-    kept = dict(entries)
-    for name, keys in RETIRED.items():
-        if isinstance(kept.get(name), dict):
-            kept[name] = {k: v for k, v in kept[name].items() if k not in keys or v != keys[k]}
-    return kept
 
 
 @dataclass(frozen=True)
@@ -169,17 +160,18 @@ class RunConfig:
         Raises:
             ValueError: if it is no run folder, or its config makes no sense.
         """
-        path = folder / "config.yaml"
-        if not path.is_file():
+        kept = read_kept_config(folder)
+        if kept is None:
             raise ValueError(
                 f"{folder} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote."
             )
         parser = ArgumentParser(exit_on_error=False)
         cls.add_arguments(parser)
         known = {*cls.__dataclass_fields__, *MODULES} - {"modules"}
-        entries = {k: v for k, v in without_retired(yaml.safe_load(path.read_text())).items() if k in known}
-        config = parser.parse_object(entries | {"run_dir": str(folder)})
-        return cls.from_namespace(parser.instantiate_classes(config))
+        entries = {k: v for k, v in without_retired(kept).items() if k in known}
+        with blaming(folder / "config.yaml", "Give it the value that the run was started with."):
+            config = parser.parse_object(entries | {"run_dir": str(folder)})
+            return cls.from_namespace(parser.instantiate_classes(config))
 
     def check_encoder(self) -> None:
         """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
@@ -250,8 +242,30 @@ class Run:
         """
         run = cls.create(RunConfig.read(folder), make_trainer)
         for path in [*folder.glob("step_00/looks.json"), *sorted(folder.glob("step_*/effects.json"))]:
-            run.worlds.add_effects(effect_from_dict(e) for e in json.loads(path.read_text())["effects"])
+            with blaming(path):
+                run.worlds.add_effects([effect_from_dict(e) for e in read_json(path)["effects"]])
         return run
+
+    def restore_ledger(self) -> list[str]:
+        """Make the ledger say what the run's files hold, if it does not. Returns what was wrong with it.
+
+        Raises:
+            ValueError: if a file that holds target interactions cannot be read.
+        """
+        b, ledger, wrong = self.config.feeding, self.worlds.ledger, []
+
+        def real(entries: list[dict]) -> list[dict]:
+            # within the lock: what another process has entered by now has its file too
+            held, unreadable = held_interactions(self.folder, b.num_envs, b.warmup_steps)
+            if unreadable:
+                raise ValueError(unreadable[0])
+            wrong.extend(disagreements(entries, held))
+            return reconciled(entries, held)
+
+        ledger.change(real, restore=True)
+        for told in wrong:
+            log.info("ledger.json corrected: %s", told)
+        return wrong
 
     @property
     def worlds(self) -> Worlds:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import logging
 import shutil
 import sys
@@ -17,9 +17,10 @@ import torch
 from lightning.pytorch.loggers import CSVLogger
 
 from datamodules import Trajectories, write_trajectories
-from datamodules.trajectories import open_trajectory_file
+from datamodules.trajectories import count_steps
+from idapt_pl.checkpoints import checkpoint_bytes, load_weights
 from idapt_pl.cores import FreeCores
-from idapt_pl.files import write_atomically, write_json
+from idapt_pl.files import REDO, DamagedFile, blaming, read_json, sha256, verify, write_bytes, write_json
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -52,8 +53,12 @@ def stage_seed(seed: int, step: int, name: str) -> int:
 
 
 def load_finished(module: Module, checkpoint: Path) -> Module:
-    """A module with the weights that its stage ended with, ready for use (weights only, nothing is unpickled)."""
-    module.load_state_dict(torch.load(checkpoint, weights_only=True, map_location="cpu")["state_dict"])
+    """A module with the weights that its stage ended with, ready for use (weights only, nothing is unpickled).
+
+    Raises:
+        DamagedFile: if they are not as the stage wrote them, or of another module.
+    """
+    load_weights(module, checkpoint)
     return module.eval()
 
 
@@ -93,6 +98,9 @@ class Stages:
             batches: how long to fit.
             finish: given the fitted module on its device, may change it before it is kept; what it returns is noted in
                 ``stage.json``.
+
+        Raises:
+            DamagedFile: if this stage is done and its checkpoint cannot be used.
         """
         folder, seed = self.folder(step) / name, stage_seed(self.seed, step, name)
         L.seed_everything(seed, verbose=False)
@@ -112,15 +120,20 @@ class Stages:
                 raise KeyboardInterrupt
             notes = finish(module.to(device), device)
         seconds = time.perf_counter() - started
+        weights = checkpoint_bytes(module)
         about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}
-        write_json(folder / "stage.json", about | notes)
-        state = {"state_dict": module.state_dict(), "hyper_parameters": dict(module.hparams)}
-        write_atomically(final, lambda path: torch.save(state, path))
+        about["sha256"] = hashlib.sha256(weights).hexdigest()
+        write_json(folder / "stage.json", about | notes, checked=True)
+        write_bytes(final, weights)
         log.info("step %d  %-16s %5d batches  %6.1f s  -> %s", step, name, batches, seconds, final)
         return module.cpu().eval()
 
     def record(self, step: int, name: str, make: Callable[[int], Trajectories]) -> tuple[Path, int]:
-        """Collect a trajectory file, or keep the one that is there. Returns its path and its control steps."""
+        """Collect a trajectory file, or keep the one that is there. Returns its path and its control steps.
+
+        Raises:
+            DamagedFile: if the one that is there is not as it was written.
+        """
         path = self.folder(step) / f"{name}.h5"
         if not path.exists():
             started = time.perf_counter()
@@ -128,13 +141,20 @@ class Stages:
             L.seed_everything(seed, verbose=False)  # stochastic policies draw from torch's generator
             write_trajectories(path, make(seed))
             seconds = time.perf_counter() - started
-            write_json(self.folder(step) / f"{name}.json", {"step": step, "stage": name, "wall_s": round(seconds, 2)})
+            about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "sha256": sha256(path)}
+            write_json(path.with_suffix(".json"), about, checked=True)
             log.info("step %d  %-16s %6.1f s  -> %s", step, name, seconds, path)
-        with open_trajectory_file(path) as f:
-            return path, int(f.attrs["total_steps"])
+        else:
+            verify(path)
+        with blaming(path):
+            return path, count_steps(path)
 
     def measure(self, step: int, name: str, make: Callable[[int], dict]) -> dict:
-        """Compute a JSON result, or read the one that is there."""
+        """Compute a JSON result, or read the one that is there.
+
+        Raises:
+            DamagedFile: if the one that is there is damaged, or that of something else.
+        """
         path = self.folder(step) / f"{name}.json"
         if not path.exists():
             started = time.perf_counter()
@@ -142,11 +162,24 @@ class Stages:
             L.seed_everything(seed, verbose=False)
             result = make(seed)
             timing = {"step": step, "stage": name, "wall_s": round(time.perf_counter() - started, 2)}
-            write_json(path, timing | result)
-        return json.loads(path.read_text())
+            write_json(path, timing | result, checked=True)
+        return self.read(step, name)
+
+    def read(self, step: int, name: str) -> dict:
+        """The JSON result of something that was measured.
+
+        Raises:
+            DamagedFile: if it is damaged, or that of something else.
+        """
+        path = self.folder(step) / f"{name}.json"
+        result = read_json(path, ("step", "stage", "wall_s"))
+        if (result["step"], result["stage"]) != (step, name):
+            raise DamagedFile(f"{path}: holds {result['stage']} of step {result['step']}. {REDO}")
+        return result
 
     def timings(self) -> list[dict]:
         """Step, stage and wall-clock seconds of everything done so far, in order of completion."""
         files = [*self.run_dir.glob("step_*/*/stage.json"), *self.run_dir.glob("step_*/*.json")]
-        entries = [json.loads(p.read_text()) for p in sorted(files, key=lambda p: p.stat().st_mtime)]
-        return [{k: e[k] for k in ("step", "stage", "wall_s")} for e in entries]
+        entries = [read_json(p) for p in sorted(files, key=lambda p: p.stat().st_mtime)]
+        told = ("step", "stage", "wall_s")
+        return [{k: e[k] for k in told} for e in entries if set(told) <= set(e)]  # others may put files there too

@@ -54,7 +54,13 @@ RULES = (
         "idapt_pl datamodules cli lightning numpy mujoco gymnasium",
         "losses are equations: tensors in, tensors out",
     ),
-    Rule("idapt_pl/files.py", "idapt_pl datamodules cli torch", "how files are written depends on nothing in them"),
+    Rule("idapt_pl/files.py", "idapt_pl cli torch", "how files are written depends on nothing in them"),
+    Rule("datamodules/atomic.py", "idapt_pl datamodules cli torch numpy", "likewise"),
+    Rule(
+        "datamodules/safe_yaml.py",
+        "idapt_pl datamodules cli torch numpy",
+        "YAML is read first of all",
+    ),
     Rule("idapt_pl/memory.py", "idapt_pl datamodules cli torch", "it runs before torch is loaded"),
     Rule(
         "idapt_pl/nets",
@@ -215,7 +221,7 @@ def test_diagnosis_reaches_nothing_that_learns():
     assert reached(package_graph(), "diagnosis") - {"diagnosis"} <= {"effects", "estimation", "files"}
 
 
-ROOT_MODULES = {"grounding", "run", "stage", "worlds", "losses", "files", "memory"}
+ROOT_MODULES = {"grounding", "run", "stage", "worlds", "losses", "files", "checkpoints", "memory"}
 
 
 def test_modules_at_the_root_are_those_that_all_packages_share():
@@ -313,7 +319,7 @@ def test_planted_names_of_nothing_are_found(tmp_path):
 
 FILE_LINES, FUNCTION_LINES = 400, 60
 LONGER = {
-    "idapt_pl/modules/visual.py": 421,
+    "idapt_pl/modules/visual.py": 420,
     "idapt_pl/modules/visual.py: __init__": 63,
 }
 """What is longer still, and how long; the list may only shrink, and so may the numbers."""

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from datamodules.recordings.errors import RecordingError, choices
 from datamodules.recordings.units import TIME, Unit, actuator_unit, position_unit, velocity_unit
+from datamodules.safe_yaml import read_yaml
 
 KEYS = (
     *("time", "dt", "joints", "actuators", "infos", "episodes", "actions_at"),
@@ -116,23 +116,10 @@ def read_mapping(path: Path | str) -> Mapping:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; expected the map, see docs/guide/import.md")
     try:
-        return parse_mapping(yaml.load(path.read_text(), UniqueKeys), str(path))  # a SafeLoader
-    except UnicodeDecodeError:
-        raise RecordingError(f"{path}: not a text file; expected the map in YAML, see docs/guide/import.md") from None
-    except yaml.YAMLError as error:
-        raise RecordingError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
-
-
-class UniqueKeys(yaml.SafeLoader):
-    """Safe YAML in which a key may stand only once, as a joint that is given twice is a slip."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        seen = set()
-        for key, _ in node.value:
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key.value!r} stands twice", key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
+        content = read_yaml(path)
+    except ValueError as error:
+        raise RecordingError(f"{error}; see docs/guide/import.md") from None
+    return parse_mapping(content, str(path))
 
 
 def parse_mapping(content: Any, source: str = "map") -> Mapping:

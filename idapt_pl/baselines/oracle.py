@@ -10,6 +10,7 @@ from gymnasium.vector import VectorEnv
 from datamodules import Trajectories
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
+from idapt_pl.run_folder.interactions import ORACLE, ORACLE_EVALUATION, oracle_interactions
 from idapt_pl.stages.policy import fit_policy
 from idapt_pl.stages.state_predictor import fit_P_S
 
@@ -34,10 +35,11 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
         with closing(worlds.rewarded_target(1)) as env:
             return collect(env, grounding.explore(seed), schedule.images, seed, "oracle reference")
 
-    path, images = stages.record(0, "oracle", collect_labelled)
+    path, _ = stages.record(0, "oracle", collect_labelled)
     predictor = fit_P_S(c, 0, [path], schedule.pretrain.state_predictor, None, "oracle_predictor")
     policy = fit_policy(c, 0, "oracle", make_env, steps, predictor.P_S, [path])
-    worlds.ledger.enter(0, "oracle reference", images + steps + c.batches.warmup_steps)
+    taken = oracle_interactions(path, c.batches.num_envs, c.batches.warmup_steps)
+    worlds.ledger.enter(0, ORACLE, taken)
     result = stages.measure(0, "oracle_evaluation", lambda seed: grounding.evaluation.target_return(policy, seed))
-    worlds.ledger.enter(0, "evaluation of the oracle", result["interactions"])
+    worlds.ledger.enter(0, ORACLE_EVALUATION, result["interactions"])
     return result

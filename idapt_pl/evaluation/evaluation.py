@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from contextlib import closing
@@ -10,11 +9,12 @@ from pathlib import Path
 
 from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
-from idapt_pl.files import write_json
+from idapt_pl.files import blaming, write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.rl.transition_distance import transition_residual
+from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -43,8 +43,10 @@ class Evaluation:
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
         result = self.stages.measure(0, "direct_transfer", lambda seed: self.target_return(policy, seed))
-        self.worlds.ledger.enter(0, "evaluation of direct transfer", result["interactions"])
-        log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
+        with blaming(self.stages.folder(0) / "direct_transfer.json"):
+            log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
+            interactions = result["interactions"]
+        self.worlds.ledger.enter(0, DIRECT_TRANSFER, interactions)
         return result
 
     def report(
@@ -69,28 +71,34 @@ class Evaluation:
             }
             if F is not None and policy_before is not None:
                 result["residual"] = transition_residual(self.worlds, policy_before, G, F, target, seed)
+            # before the file that counts its steps: a run killed in between makes both again
+            result["video_interactions"] = self.show(step, result, policy, G, F)
             return result
 
-        fresh = not (self.stages.folder(step) / "evaluation.json").exists()
         result = self.stages.measure(step, "evaluation", make)
-        if fresh:
-            self.show(step, result, policy, G, F)
-        self.worlds.ledger.enter(step, "evaluation", result["target"]["interactions"])
-        log.info(
-            "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
-            step,
-            result["target"]["mean"],
-            result["target"]["std"],
-            result["grounded"]["mean"],
-            result.get("residual", "-"),
-            result["translation"],
-        )
+        folder = self.stages.folder(step)
+        with blaming(folder / "evaluation.json"):
+            log.info(
+                "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
+                step,
+                result["target"]["mean"],
+                result["target"]["std"],
+                result["grounded"]["mean"],
+                result.get("residual", "-"),
+                result["translation"],
+            )
+            interactions = evaluation_interactions(folder, result)
+        self.worlds.ledger.enter(step, "evaluation", interactions)
         return result
 
     def show(
         self, step: int, result: dict, policy: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None
-    ) -> None:
-        """The run's TensorBoard page: returns, residuals, and the policy in grounded source and target."""
+    ) -> int:
+        """The run's TensorBoard page: returns, residuals, and the policy in grounded source and target.
+
+        Returns:
+            Control steps in the target that the video shows.
+        """
         folder = self.stages.folder(step)
         scalars = {
             "returns/target": result["target"]["mean"],
@@ -102,24 +110,23 @@ class Evaluation:
         videos = []
         for env in (self.worlds.grounded(1, G, F), self.worlds.rewarded_target(1)):
             with closing(env):
-                videos.append(record_video(env, deterministic(policy), 75, seed=step))
-        log_video(folder, "policy_in_grounded_and_target", side_by_side(*videos), step)
+                videos.append(record_video(env, deterministic(policy), VIDEO_STEPS, seed=step))
+        log_video(folder, VIDEO, side_by_side(*videos), step)
+        return VIDEO_STEPS
 
     def summary(self, evaluations: Sequence[dict]) -> dict:
         """Write and return ``summary.json``.
 
         Args:
             evaluations: of every step, from step 0 on, as in ``evaluation.json``.
+
+        Raises:
+            DamagedFile: if a result that it is made of is damaged.
         """
-
-        def path(step: int, name: str) -> Path:
-            return self.stages.folder(step) / f"{name}.json"
-
-        def read(step: int, name: str) -> dict:
-            return json.loads(path(step, name).read_text())
+        read = self.stages.read
 
         def read_if_there(step: int, name: str) -> dict | None:
-            return read(step, name) if path(step, name).exists() else None
+            return read(step, name) if (self.stages.folder(step) / f"{name}.json").exists() else None
 
         steps = len(evaluations) - 1
         settled = (read_if_there(steps + 1, "convergence") or {}).get("settled", False)

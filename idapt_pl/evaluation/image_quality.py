@@ -16,6 +16,8 @@ from torchmetrics import MeanMetric
 from torchmetrics.image import PeakSignalNoiseRatio, StructuralSimilarityIndexMeasure
 from torchmetrics.image.kid import KernelInceptionDistance
 
+from idapt_pl.checkpoints import read_checkpoint
+from idapt_pl.files import blaming
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.nets.images import stack_channels, to_float
 
@@ -108,11 +110,9 @@ class Backbone(nn.Module):
     def __init__(self, weights: Path) -> None:
         super().__init__()
         self.net = torchvision.models.resnet18(weights=None)
-        try:
-            self.net.load_state_dict(torch.load(weights, weights_only=True, map_location="cpu"))
-        except (OSError, RuntimeError, AttributeError, TypeError, EOFError, ValueError) as error:
-            reason = " ".join(str(error).split())[:150]
-            raise ValueError(f"{weights}: not the weights of torchvision's resnet18 ({reason})") from None
+        cure = "Expected the weights of torchvision's resnet18."
+        with blaming(weights, cure):
+            self.net.load_state_dict(read_checkpoint(weights, cure))
         self.net.fc = nn.Identity()
         self.eval().requires_grad_(False)
         self.register_buffer("mean", torch.tensor([0.485, 0.456, 0.406])[:, None, None])

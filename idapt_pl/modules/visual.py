@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -19,6 +18,8 @@ from torchvision.utils import make_grid
 
 from datamodules import Episode
 from datamodules.stacks import FrameStacks
+from idapt_pl.checkpoints import read_checkpoint
+from idapt_pl.files import blaming
 from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
 from idapt_pl.modules.manual import ManualModule, fast_precision
@@ -149,18 +150,16 @@ class VisualTransformation(ManualModule):
         """The trained module of a checkpoint, ready for use (weights only, nothing is unpickled).
 
         Raises:
-            ValueError: if there is no such file, or it is no checkpoint of a visual transformation.
+            ValueError: if there is no such file, or it is damaged or no checkpoint of a visual transformation.
         """
         if not path.is_file():
             raise ValueError(f"{path}: no such checkpoint; train one first: idapt visual fit")
-        try:
-            saved = torch.load(path, weights_only=True, map_location="cpu")
+        cure = "Expected a checkpoint of a visual transformation; train one: idapt visual fit"
+        with blaming(path, cure):
+            saved = read_checkpoint(path, cure)
             settings = dict(saved["hyper_parameters"])
             module = cls(**settings | {"vision": Vision(**settings["vision"])})
             module.load_state_dict(saved["state_dict"])
-        except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise ValueError(f"{path}: not a checkpoint of a visual transformation ({reason})") from None
         return module.eval()
 
     @property

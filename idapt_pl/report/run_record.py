@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-import yaml
-
 from idapt_pl.appearance import VisualEffects
+from idapt_pl.envs.ledger import Ledger
+from idapt_pl.files import read_json
 from idapt_pl.image_diagnosis import ImageDiagnosis
+from idapt_pl.run_folder.kept_config import read_kept_config
 
 ORDER = (
     "target",
@@ -130,15 +130,20 @@ class RunFiles:
         self.run = run
         self.unreadable: list[str] = []
 
-    def read(self, path: Path) -> dict:
-        """The content of a file; empty if it is missing or unreadable."""
-        try:
-            return json.loads(path.read_text())
-        except FileNotFoundError:
+    def read(self, path: Path, keys: Collection[str] = ()) -> dict:
+        """The content of a file; empty if it is missing or unreadable, lacks keys, or is of something else."""
+        if not path.exists():
             return {}
-        except (OSError, ValueError):
+        try:
+            entry = read_json(path, keys)
+        except ValueError:
             self._note_unreadable(path)
             return {}
+        of_this = entry.get("stage") in (None, path.stem, path.parent.name)
+        if not of_this or ("step" in entry and f"step_{entry['step']:02d}" not in path.parts):
+            self._note_unreadable(path)
+            return {}
+        return entry
 
     def read_as(self, path: Path, from_dict: Callable[[Mapping], Result]) -> Result | None:
         """The value that a file holds; None if it is missing or unreadable."""
@@ -146,7 +151,7 @@ class RunFiles:
             return None
         try:
             return from_dict(entry)
-        except (KeyError, TypeError, ValueError):
+        except Exception:  # what damaged data do to a constructor can be anything
             self._note_unreadable(path)
             return None
 
@@ -162,17 +167,18 @@ def read_run_record(run: Path) -> RunRecord:
     Raises:
         ValueError: if it has no config.
     """
-    if not (run / "config.yaml").is_file():
+    config = read_kept_config(run)
+    if config is None:
         raise ValueError(f"{run} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote.")
     files, first = RunFiles(run), run / "step_00"
-    ledger = files.read(run / "ledger.json").get("entries", [])
+    ledger = files.read_as(run / "ledger.json", lambda _: Ledger(run / "ledger.json").entries) or []
     return RunRecord(
         run,
-        yaml.safe_load((run / "config.yaml").read_text()),
+        config,
         files.read(run / "run.json"),
         ledger,
-        files.read(first / "direct_transfer.json"),
-        files.read(first / "oracle_evaluation.json"),
+        files.read(first / "direct_transfer.json", ("mean", "std")),
+        files.read(first / "oracle_evaluation.json", ("mean", "std")),
         [read_step_record(folder, ledger, files) for folder in sorted(run.glob("step_[0-9]*"))],
         files.unreadable,
     )
@@ -186,7 +192,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
     return StepRecord(
         k,
         folder,
-        evaluation=files.read(folder / "evaluation.json"),
+        evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
         selection=files.read(folder / "selection.json"),
         convergence=files.read(folder / "convergence.json"),

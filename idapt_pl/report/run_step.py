@@ -6,6 +6,7 @@ import base64
 
 from idapt_pl.appearance import VisualEffects
 from idapt_pl.effects.wording import format_number
+from idapt_pl.files import verify
 from idapt_pl.report.found_effects import found_effects_section
 from idapt_pl.report.html import (
     data_uri,
@@ -61,11 +62,14 @@ def translated_frames(step: StepRecord, run: Run) -> str:
         return paragraph("No pictures: G of this step has not been trained yet.", "small")
     try:
         G = run.load_visual(checkpoint)
-    except Exception as error:  # what a damaged checkpoint raises can be anything
-        return paragraph(f"No pictures: {checkpoint} cannot be loaded ({type(error).__name__}: {error}).", "small")
+    except ValueError as error:
+        return paragraph(f"No pictures: {error}", "small")
+    recordings = (step.folder / "source.h5", step.folder / "target.h5")
     try:
-        examples = translated_examples(step.folder / "source.h5", step.folder / "target.h5", G)
-    except (ValueError, OSError, KeyError) as error:
+        for path in recordings:
+            verify(path)
+        examples = translated_examples(*recordings, G)
+    except Exception as error:  # what damaged data do to their readers can be anything
         return paragraph(f"No pictures: {error}", "small")
     rows = {
         "source": examples.source,

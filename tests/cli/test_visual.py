@@ -205,7 +205,8 @@ def test_using_a_model_that_is_none_is_told_plainly(tmp_path, capsys):
     assert code == 1 and "no such checkpoint" in err
     torch.save({"state_dict": {}}, tmp_path / "other.ckpt")
     code, err = visual(capsys, "predict", ckpt_path=tmp_path / "other.ckpt")
-    assert code == 1 and "other.ckpt: not a checkpoint of a visual transformation" in err
+    assert code == 1 and "other.ckpt: cannot be used (it does not hold 'hyper_parameters')" in err
+    assert "Expected a checkpoint of a visual transformation" in err
 
 
 def test_translations_are_measured_before_and_after_and_alike_in_fit_and_test(tmp_path, capsys):

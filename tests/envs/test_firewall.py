@@ -1,7 +1,6 @@
 """Training sees the target's images and actions and nothing else, and every step is counted."""
 
 import ast
-import json
 from pathlib import Path
 
 import h5py
@@ -11,6 +10,7 @@ import pytest
 from datamodules import write_trajectories
 from idapt_pl.envs import BlindTarget, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
+from idapt_pl.files import read_json
 from idapt_pl.rl.collect import collect
 from idapt_pl.worlds import Worlds
 
@@ -88,7 +88,7 @@ def test_ledger_survives_a_restart_and_repeated_entries_count_once(ledger):
     again = Ledger(ledger.path)
     again.enter(1, "training", 20)
     assert again.entries == ledger.entries and again.training_total == 120
-    assert json.loads(ledger.path.read_text()) == {"training_total": 120, "entries": ledger.entries}
+    assert read_json(ledger.path) == {"training_total": 120, "entries": ledger.entries}
 
 
 def test_evaluation_and_oracle_are_on_the_ledger_but_not_in_the_methods_total(ledger):

@@ -131,7 +131,7 @@ def test_damaged_files_are_named_and_the_rest_is_told(copied):
     (copied / "step_02/effects.json").write_text('{"effects": []}')
     text = report(copied).text
     assert "cannot be read and are left out: step_01/evaluation.json, step_02/effects.json." in text
-    assert len(re.findall("No pictures: ", text)) == 2 and "target.h5: not a readable HDF5 file" in text
+    assert len(re.findall("No pictures: ", text)) == 2 and "target.h5: cannot be used (its content does" in text
 
 
 def estimate(effect, target, name, nominal, value, ci95, unit):

@@ -1,0 +1,124 @@
+"""A run folder is all there is of a run: it may be moved, lose its config, or be used by several commands at once."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from cli.main import main
+from cli.provenance import claim
+from cli.run_folder import resumed_in_place
+from idapt_pl.run import Run
+
+
+@pytest.fixture
+def moved(finished_run, tmp_path):
+    """A finished run in another place than it was made."""
+    return shutil.copytree(finished_run, tmp_path / "elsewhere/moved")
+
+
+def same_results(a, b):
+    names = ("step_02/policy/final.ckpt", "step_02/evaluation.json", "ledger.json")
+
+    def content(run, name):
+        data = (run / name).read_bytes()
+        if not name.endswith("evaluation.json"):
+            return data
+        return {k: v for k, v in json.loads(data).items() if k not in ("wall_s", "checksum")}
+
+    return all(content(a, name) == content(b, name) for name in names)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_moved_run_folder_resumes_where_it_is(moved, finished_run, relative, monkeypatch):
+    (moved / "step_02/evaluation.json").unlink()
+    before = {p: p.stat().st_mtime_ns for p in finished_run.rglob("*")}
+    monkeypatch.chdir(moved)
+    config = Path("config.yaml") if relative else moved / "config.yaml"
+    assert main(["fit", "--config", str(config)]) == 0
+    assert same_results(moved, finished_run)
+    assert {p: p.stat().st_mtime_ns for p in finished_run.rglob("*")} == before, "the old place is left alone"
+
+
+def test_the_command_that_a_refusal_tells_resumes_the_moved_run(moved, tiny_args, capsys):
+    assert main(["fit", *tiny_args(moved, seed=4)]) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert (
+        f"holds a run with another config (seed differ). Choose another --run_dir, or resume with --config {moved}"
+        in told
+    )
+    assert main(["fit", "--config", str(moved / "config.yaml")]) == 0
+
+
+def test_run_dir_on_the_command_line_starts_another_run_from_the_same_config(moved, tmp_path):
+    config = f"--config={moved / 'config.yaml'}"
+    assert resumed_in_place([config]) == [config, f"--run_dir={moved}"]
+    assert resumed_in_place([config, "--run_dir", "new"]) == [config, "--run_dir", "new"]
+    copy = shutil.copy(moved / "config.yaml", tmp_path)
+    assert resumed_in_place(["--config", copy]) == ["--config", copy], "beside it there is no run"
+
+
+def test_without_its_config_the_folder_takes_no_other_and_gets_it_back(moved, tiny_args, capsys):
+    kept = yaml.safe_load((moved / "config.yaml").read_text())
+    (moved / "config.yaml").unlink()
+    assert main(["fit", *tiny_args(moved, seed=4)]) == 1 and "seed" in capsys.readouterr().err
+    (moved / "config.yaml").unlink()
+    assert main(["fit", "--config", str(moved / "config.yaml")]) == 0
+    assert yaml.safe_load((moved / "config.yaml").read_text()) == kept | {"run_dir": str(moved)}
+
+
+def test_other_commands_open_a_run_without_its_config(moved, capsys):
+    (moved / "config.yaml").unlink()
+    assert main(["report", "--run", str(moved)]) == 0 and (moved / "config.yaml").exists()
+
+
+def test_a_config_that_explodes_is_refused_at_once(tmp_path, capsys):
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n"
+    bomb += "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
+    (tmp_path / "bomb.yaml").write_text(bomb)
+    assert main(["fit", "--config", str(tmp_path / "bomb.yaml")]) == 1
+    assert "bomb.yaml: not valid YAML: it has more than" in capsys.readouterr().err
+
+
+def test_what_a_killed_run_left_half_written_is_removed_when_the_folder_is_claimed(moved):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    left = [moved / f".run.json.{gone.pid}.tmp", moved / f"step_01/.target.h5.{gone.pid}.tmp"]
+    for path in left:
+        path.write_text("half")
+    writing = moved / f"step_01/.evaluation.json.{os.getppid()}.tmp"
+    writing.write_text("of a process that is at work")
+    with claim(moved):
+        assert not any(path.exists() for path in left) and writing.exists()
+
+
+def test_of_two_runs_in_one_folder_the_second_is_refused_and_changes_nothing(moved, capsys):
+    program = "import sys; from pathlib import Path; from cli.provenance import claim\n"
+    program += "with claim(Path(sys.argv[1])): print('at work', flush=True); sys.stdin.readline()"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", program, str(moved)]
+    before = (moved / "run.json").read_bytes()
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as first:
+        assert first.stdout.readline() == "at work\n"
+        assert main(["fit", "--config", str(moved / "config.yaml")]) == 1
+        assert f"another process is at work in {moved}" in capsys.readouterr().err
+        first.communicate("\n")
+    assert (moved / "run.json").read_bytes() == before
+    assert main(["fit", "--config", str(moved / "config.yaml")]) == 0
+
+
+def test_evaluating_beside_a_fit_loses_no_entry(moved, capsys):
+    """The fit has opened its ledger before the evaluation, and makes an entry after it."""
+    fit = Run.open(moved)
+    fit.restore_ledger()
+    assert main(["evaluate", "--run", str(moved), "--episodes", "1"]) == 0
+    fit.worlds.ledger.enter(2, "evaluation", 1000)
+    entries = json.loads((moved / "ledger.json").read_text())["entries"]
+    assert (2, "evaluation") in [(e["step"], e["purpose"]) for e in entries]
+    assert sum("1 episodes, seed 12345" in e["purpose"] for e in entries) == 4
