@@ -4,8 +4,8 @@
 
 A teacher trains in the source as the config says. Then the source is changed: the mass of one body and the gain of all
 actuators by random factors (log-uniform, a third to three times). From the same teacher SAC goes on there for several
-shares of its first training. ``regained`` is how much of the loss each wins back: 0 is the teacher as it was, 1 what the
-longest adaptation reaches. No target is looked at, which is why a config may take ``teacher.adapt`` from here. Writes
+shares of its first training. ``regained`` is how much of the loss each wins back: 0 is the teacher as it was, 1 the
+best of all. No target is looked at, which is why a config may take ``teacher.adapt`` from here. Writes
 results/adaptation.csv.
 """
 
