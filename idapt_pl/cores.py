@@ -21,6 +21,8 @@ import torch
 Result = TypeVar("Result")
 EVERY = 2.0
 """Seconds between looks."""
+FIRST_LOOK = 0.1
+"""Seconds of the look before something begins."""
 
 
 class CoreUse:
@@ -83,24 +85,34 @@ class FreeCores(L.Callback):
     def __init__(self, threads: int | None = None) -> None:
         self.threads, self._use, self._looked = threads, CoreUse(), 0.0
 
-    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+    def look(self) -> None:
+        """Set the threads for what comes now, by a short look at who else computes."""
         if self.threads is None:
             self._use.others()
-            time.sleep(0.1)
-        self.share(pl_module)
+            time.sleep(FIRST_LOOK)
+        torch.set_num_threads(self._usable())
+
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        self.look()
+        self.share(pl_module, torch.get_num_threads())
 
     def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *args: object) -> None:
         if self.threads is None and time.monotonic() - self._looked > EVERY:
-            self.share(pl_module)
+            self.share(pl_module, self._usable())
 
-    def share(self, module: L.LightningModule) -> None:
-        """Set the threads for now."""
-        n = free_threads(self._use.others()) if self.threads is None else self.threads
-        self._looked = time.monotonic()
-        two = n > 1 and getattr(module, "two_ways", None) is not None
+    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        torch.set_num_threads(self._usable())
+
+    def share(self, module: L.LightningModule, threads: int) -> None:
+        """Give a module so many threads."""
+        two = threads > 1 and getattr(module, "two_ways", None) is not None
         if hasattr(module, "two_ways"):
             module.two_ways = two
-        torch.set_num_threads(n // 2 if two else n)
+        torch.set_num_threads(threads // 2 if two else threads)
+
+    def _usable(self) -> int:
+        self._looked = time.monotonic()
+        return free_threads(self._use.others()) if self.threads is None else self.threads
 
 
 @lru_cache(maxsize=1)

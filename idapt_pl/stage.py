@@ -73,7 +73,7 @@ class Stages:
     """
 
     def __init__(self, run_dir: Path, seed: int, make_trainer: MakeTrainer, threads: int | None = None) -> None:
-        self.run_dir, self.seed, self.make_trainer, self.threads = run_dir, seed, make_trainer, threads
+        self.run_dir, self.seed, self.make_trainer, self.cores = run_dir, seed, make_trainer, FreeCores(threads)
 
     def folder(self, step: int) -> Path:
         """Folder of one grounding step."""
@@ -113,7 +113,7 @@ class Stages:
         started, notes = time.perf_counter(), {}
         if batches:
             trainer = self.make_trainer(folder, batches)
-            trainer.callbacks.append(FreeCores(self.threads))
+            trainer.callbacks.append(self.cores)
             device = trainer.strategy.root_device
             trainer.fit(module, datamodule=feed(module.to(device), seed, device))
             if trainer.interrupted:
@@ -137,6 +137,7 @@ class Stages:
         path = self.folder(step) / f"{name}.h5"
         if not path.exists():
             started = time.perf_counter()
+            self.cores.look()
             seed = stage_seed(self.seed, step, name)
             L.seed_everything(seed, verbose=False)  # stochastic policies draw from torch's generator
             write_trajectories(path, make(seed))
@@ -158,6 +159,7 @@ class Stages:
         path = self.folder(step) / f"{name}.json"
         if not path.exists():
             started = time.perf_counter()
+            self.cores.look()
             seed = stage_seed(self.seed, step, name)
             L.seed_everything(seed, verbose=False)
             result = make(seed)

@@ -124,6 +124,7 @@ QUICK = ROOT / "configs" / "pendulum_quick.yaml"
 
 TINY = {
     "image_size": 32, "render_processes": 0, "episodes": 2, "seed": 3, "oracle": "false", "effects.discover": "false",
+    "schedule.until_settled": "false",
     "schedule.grounding_steps": 2, "schedule.images": 60, "schedule.source_images": 90, "schedule.interactions": 60,
     "schedule.source_policy": 16, "schedule.action_transformation": "true",
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")

@@ -51,8 +51,17 @@ class TwoWays:
 @pytest.mark.parametrize(("threads", "two", "each"), [(1, False, 1), (2, True, 1), (4, True, 2)])
 def test_a_module_of_two_ways_shares_its_threads_between_them(threads, two, each):
     module = TwoWays()
-    FreeCores(threads).share(module)
+    FreeCores().share(module, threads)
     assert (module.two_ways, torch.get_num_threads()) == (two, each)
+
+
+def test_what_begins_takes_the_cores_that_are_free_now(monkeypatch):
+    monkeypatch.setattr(cores, "_FIRST_THREADS", 4)
+    monkeypatch.setattr(CoreUse, "others", lambda self: 2.0)
+    FreeCores().look()
+    assert torch.get_num_threads() == 2
+    FreeCores(3).look()
+    assert torch.get_num_threads() == 3
 
 
 def test_two_things_at_once_are_what_they_are_one_after_the_other():
