@@ -11,7 +11,9 @@ from jsonargparse import Namespace
 from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
+from cli.interrupt import resumable
 from cli.provenance import claim, write_provenance
 from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
@@ -49,9 +51,15 @@ class GroundingCLI(LightningCLI):
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         RunConfig.add_arguments(parser)
         parser.add_lightning_class_args(L.Trainer, "trainer")
+        parser.set_defaults({"trainer.devices": 1})
 
     def instantiate_classes(self) -> None:
+        self.config.trainer.devices = one_device(self.config.trainer)
         self.config_init = self.parser.instantiate_classes(self.config)
+        try:
+            self.instantiate_trainer(logger=False)  # what it does not take is better said now
+        except MisconfigurationException as error:
+            raise ValueError(f"trainer: {error}") from None
 
     def run(self) -> Run:
         """The run that the config describes."""
@@ -65,6 +73,22 @@ class GroundingCLI(LightningCLI):
             callbacks=[StageProgressBar(f"{step} {name}")] if sys.stderr.isatty() else [],
             **stage_trainer_settings(folder, batches),
         )
+
+
+def one_device(trainer: Namespace) -> int | str | list[int]:
+    """Which device to train on: the stages act and learn in turn, in this one process.
+
+    Raises:
+        ValueError: if there are to be several.
+    """
+    devices = 1 if trainer.devices == "auto" else trainer.devices
+    count = len(devices) if isinstance(devices, list) else devices
+    if str(count) != "1" or trainer.num_nodes != 1:
+        raise ValueError(
+            f"trainer.devices is {devices} and trainer.num_nodes {trainer.num_nodes}, but a run acts and learns in turn "
+            "in one process: give 1 of each, or the device to take, such as [0]. Several seeds can run side by side"
+        )
+    return devices
 
 
 def current(argument: str) -> str:
@@ -83,7 +107,7 @@ def main(args: list[str]) -> int:
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
-    with claim(run.folder):
+    with claim(run.folder), resumable(run.folder, "idapt fit", "stages"):
         write_provenance(cli.parser, cli.config, run.folder)
         summary = run.grounding.run()
         if run.config.oracle:

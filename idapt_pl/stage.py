@@ -19,6 +19,7 @@ from lightning.pytorch.loggers import CSVLogger
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import open_trajectory_file
 from idapt_pl.files import write_atomically, write_json
+from idapt_pl.health import Health, check_weights
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -91,6 +92,9 @@ class Stages:
             batches: how long to fit.
             finish: given the fitted module on its device, may change it before it is kept; what it returns is noted in
                 ``stage.json``.
+
+        Raises:
+            NotFinite: if a loss or a weight is NaN or infinite; nothing is kept.
         """
         folder, seed = self.folder(step) / name, stage_seed(self.seed, step, name)
         L.seed_everything(seed, verbose=False)
@@ -101,13 +105,17 @@ class Stages:
             return load_finished(module, final)
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
         started, notes = time.perf_counter(), {}
+        health = Health(f"step {step}, stage {name}")
         if batches:
             trainer = self.make_trainer(folder, batches)
+            trainer.callbacks.append(health)
             device = trainer.strategy.root_device
-            trainer.fit(module, datamodule=feed(module.to(device), seed, device))
-            if trainer.interrupted:
-                raise KeyboardInterrupt
-            notes = finish(module.to(device), device)
+            data = feed(module.to(device), seed, device)
+            with health.explaining(module):
+                trainer.fit(module, datamodule=data)
+            away = health.running_away(module, data)
+            notes = finish(module.to(device), device) | ({"ran_away": away} if away else {})
+        check_weights(module, health.where, health.cure(module))
         seconds = time.perf_counter() - started
         about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}
         write_json(folder / "stage.json", about | notes)

@@ -33,10 +33,11 @@ def format_distance(residual: dict, key: str) -> str:
 
 def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
     """What happened in a step, in sentences."""
-    sentences = []
+    away = [f"Training ran away, look at its curves. Stage {words}." for words in step.ran_away]
     if not step.evaluation:
         stages = ", ".join(step.seconds) or "nothing"
-        return [f"This step did not end: there is no evaluation. Finished in it: {stages}."]
+        return [f"This step did not end: there is no evaluation. Finished in it: {stages}.", *away]
+    sentences = []
     before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
     now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
     now += f", {format_score(before['mean'], metric)} before" if before else ""
@@ -59,4 +60,4 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
         )
     if step.selection:
         sentences.append(RollbackDecision.from_dict(step.selection).sentence + ".")
-    return sentences
+    return sentences + away
