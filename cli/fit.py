@@ -85,7 +85,7 @@ def one_device(trainer: Namespace) -> int | str | list[int]:
     count = len(devices) if isinstance(devices, list) else devices
     if str(count) != "1" or trainer.num_nodes != 1:
         raise ValueError(
-            f"trainer.devices is {devices} and trainer.num_nodes {trainer.num_nodes}, but a run acts and learns in turn "
+            f"trainer.devices is {devices}, trainer.num_nodes {trainer.num_nodes}, but a run acts and learns in turn "
             "in one process: give 1 of each, or the device to take, such as [0]. Several seeds can run side by side"
         )
     return devices

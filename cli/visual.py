@@ -24,8 +24,10 @@ from datamodules.images import ImageDomains
 from idapt_pl.health import Health, check_weights
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.manual import computes_bfloat16
+from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.modules.state_predictor import fit_state_predictor
 from idapt_pl.nets.encoder import Vision
+from idapt_pl.ranges import COUNT, COUNT_OR_NONE, POSITIVE, check_ranges
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +49,9 @@ class Labelled:
     batches: int = 2000
     batch_size: int = 32
     lr: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check_ranges("labelled", vars(self), {"batches": COUNT_OR_NONE, "batch_size": COUNT, "lr": POSITIVE})
 
 
 class SeedEpochs(L.Callback):
@@ -109,6 +114,7 @@ class VisualCLI(LightningCLI):
     def new_model(self) -> VisualTransformation:
         """A model for the data; with labels, around a P^S that is fitted to them first."""
         o, dimensions = self.options, self.datamodule.dimensions
+        check_ranges("model", o.model.as_dict(), MODULE_RANGES["visual"])
         model = VisualTransformation(**o.model.as_dict(), vision=o.vision, bf16=False, **dimensions)
         self.resume()
         if model.P_T is not None and not o.ckpt_path:

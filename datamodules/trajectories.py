@@ -138,8 +138,12 @@ def read_trajectories(path: Path | str) -> Trajectories:
         TrajectoryFileError: naming the file, the dataset, what was expected and what came.
     """
     with open_trajectory_file(path) as f:
-        episodes = tuple(_read_episode(path, f, i) for i in range(int(f.attrs["total_episodes"])))
-        return Trajectories(episodes, float(f.attrs["dt"]), str(f.attrs.get("source", "")))
+        try:
+            number, dt = int(f.attrs["total_episodes"]), float(f.attrs["dt"])
+        except (TypeError, ValueError, OverflowError):
+            raise TrajectoryFileError(f"{path}: the root attributes total_episodes and dt must be numbers") from None
+        episodes = tuple(_read_episode(path, f, i) for i in range(number))
+        return Trajectories(episodes, dt, str(f.attrs.get("source", "")))
 
 
 def open_trajectory_file(path: Path | str) -> h5py.File:
@@ -191,5 +195,5 @@ def _read_episode(path: Path | str, f: h5py.File, i: int) -> Episode:
         raise TrajectoryFileError(f"{where}: expected a group or dataset that is missing: {error}") from None
     except OSError as error:
         raise TrajectoryFileError(f"{where}: could not be read, the file may be truncated: {error}") from None
-    except ValueError as error:
+    except (ValueError, TypeError, AttributeError, RuntimeError) as error:  # h5py, of things of another kind
         raise TrajectoryFileError(f"{where}: {error}") from None

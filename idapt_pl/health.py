@@ -22,9 +22,9 @@ RUNS_AWAY = 10.0
 """A loss whose last tenth lies so many times above its early median has run away."""
 USUAL = 0.3
 """Losses start at about this or more, being of standardised states, images in -1..1 and logits."""
-FAR_OFF = 1e3
+FAR_ABOVE = 1e3
 """A loss this large at the end has run away, also where it did so before anything was logged."""
-FEWEST = 8
+FEWEST_VALUES = 8
 """Logged values below which there is no early and late."""
 BEYOND_REWARDS = 3.0
 """Values so many times above what the largest reward, forever, is worth are no values."""
@@ -112,8 +112,10 @@ class Health(L.Callback):
         """Around a fit: whatever fails because of weights that are not finite is told as that."""
         try:
             yield
-        except (ValueError, RuntimeError):
+        except (ValueError, RuntimeError) as error:
             check_weights(module, self.where, self.cure(module))
+            if "to satisfy the constraint" in str(error):  # torch, of a distribution's parameters
+                raise NotFinite(self.where, "a distribution's spread is 0 or none", self.cure(module)) from error
             raise
 
     def cure(self, module: nn.Module) -> str:
@@ -135,7 +137,7 @@ class Health(L.Callback):
         found = [
             f"{name} ended at {last:.3g}, after {early:.3g} early on"
             for name, (early, last) in early_and_late(self.seen).items()
-            if name not in FREE and (last > RUNS_AWAY * max(early, USUAL) or last > FAR_OFF)
+            if name not in FREE and (last > RUNS_AWAY * max(early, USUAL) or last > FAR_ABOVE)
         ]
         if values := self.seen.get("policy/q"):
             rewards = data.buffer.sample(data.buffer.size, names=("rewards",))["rewards"]
@@ -149,7 +151,7 @@ class Health(L.Callback):
 
 def early_and_late(series: Mapping[str, list[float]]) -> dict[str, tuple[float, float]]:
     """The median size of each series in its first quarter and in its last tenth; those too short are left out."""
-    sizes = {name: [abs(v) for v in values] for name, values in series.items() if len(values) >= FEWEST}
+    sizes = {name: [abs(v) for v in values] for name, values in series.items() if len(values) >= FEWEST_VALUES}
     return {
         name: (statistics.median(v[: len(v) // 4]), statistics.median(v[-max(1, len(v) // 10) :]))
         for name, v in sizes.items()

@@ -41,6 +41,9 @@ COUNT_OR_NONE = Range(0, 1e9)
 POSITIVE = Range(0, brackets="(]")
 NOT_NEGATIVE = Range(0)
 SHARE = Range(0, 1)
+SEED = Range(0, 2**31 - 1)
+IMAGE_SIZE = Range(8, 4096)
+"""Side of rendered images, pixels."""
 
 
 def check_ranges(where: str, values: Mapping[str, Any], ranges: Mapping[str, Range]) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import yaml
 from jsonargparse import ArgumentParser, Namespace
 
@@ -19,7 +21,9 @@ from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
+from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.context import StageContext
@@ -139,6 +143,7 @@ class RunConfig:
         """
         values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
+        made.check_ranges()
         made.check_encoder()
         return made
 
@@ -161,6 +166,25 @@ class RunConfig:
         config = parser.parse_object(entries | {"run_dir": str(folder)})
         return cls.from_namespace(parser.instantiate_classes(config))
 
+    def check_ranges(self) -> None:
+        """Numbers that can be right; the other settings check their own when they are made.
+
+        Raises:
+            ValueError: naming the first key that is out of its range.
+        """
+        top = {"seed": SEED, "image_size": IMAGE_SIZE, "frame_stack": Range(1, 64)}
+        check_ranges("", vars(self), top | {"episodes": Range(1, 1e6), "render_processes": Range(0, 256)})
+        for name, ranges in MODULE_RANGES.items():
+            check_ranges(name, self.modules[name], ranges)
+        steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
+        steps |= {"schedule.source_policy": self.schedule.source_policy, "teacher.dagger": self.teacher.dagger}
+        for key, number in steps.items():
+            if 0 < number < self.feeding.num_envs:
+                raise ValueError(
+                    f"{key} is {number} steps for the {self.feeding.num_envs} simulations of feeding.num_envs: "
+                    "nothing would be trained. Give at least one step for each, or 0"
+                )
+
     def check_encoder(self) -> None:
         """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
 
@@ -175,6 +199,11 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
+        if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
+            raise ValueError(
+                f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
+                "states, those of a supervised encoder. Set one or the other."
+            )
 
     @property
     def folder(self) -> Path:
@@ -216,7 +245,9 @@ class Run:
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         stages, b = Stages(config.folder, config.seed, make_trainer), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
-        return cls(config, StageContext(worlds, stages, module_factories(config), b, teacher))
+        context = StageContext(worlds, stages, module_factories(config), b, teacher)
+        check_modules(context)
+        return cls(config, context)
 
     @classmethod
     def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:
@@ -276,6 +307,32 @@ class Run:
         """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
         G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
         return self.load_policy(made[-1]).estimator(G) if made else G.estimator
+
+
+def check_modules(context: StageContext) -> None:
+    """Make every module once, without memory for its weights: what cannot be made is better said before hours of G.
+
+    Raises:
+        ValueError: naming the module that cannot be made and why.
+    """
+    dimensions, bounds = context.worlds.dimensions, context.worlds.action_bounds
+    with torch.device("meta"):
+        for name in ("state_predictor", "visual"):
+            with named(name):
+                getattr(context.make, name)(**dimensions)
+        with named("policy"):
+            pi = context.make.policy(**dimensions, **bounds)
+        with named("dynamics"):
+            context.make.dynamics(encoder=pi.actor.encoder, **bounds)
+
+
+@contextmanager
+def named(module: str) -> Iterator[None]:
+    """Say of which module an error is."""
+    try:
+        yield
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(f"{module}: {error}") from None
 
 
 def module_factories(config: RunConfig) -> ModuleFactories:

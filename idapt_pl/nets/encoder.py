@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from idapt_pl.nets.images import center_crop, height_width, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.ranges import Range, check_ranges
 
 Pool = Literal["flatten", "keypoints"]
 
@@ -234,6 +235,9 @@ class Vision:
     strides: tuple[int, int, int, int] = (2, 1, 1, 1)
     pool: Pool = "flatten"
     rates: Literal["learned", "differences", "frames"] = "learned"
+
+    def __post_init__(self) -> None:
+        check_ranges("vision", vars(self), {"crop": Range(1, 4096), "strides": Range(1, 8)})
 
     def encoder(self, image_size: int | Sequence[int], frame_stack: int) -> PixelEncoder:
         """A new encoder of stacks of K frames of this size (a side, or height and width, pixels)."""

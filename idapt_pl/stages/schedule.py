@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from idapt_pl.ranges import COUNT, COUNT_OR_NONE, Range, check_ranges
+
 
 @dataclass(frozen=True)
 class StageLengths:
@@ -60,3 +62,10 @@ class Schedule:
     action_transformation: bool = True
     accumulate: bool = False
     rollback: bool = False
+
+    def __post_init__(self) -> None:
+        once = {"images": COUNT, "source_images": COUNT, "interactions": COUNT, "source_policy": COUNT_OR_NONE}
+        check_ranges("schedule", vars(self), once | {"grounding_steps": Range(0, 99)})
+        for part in ("pretrain", "finetune"):
+            lengths = vars(getattr(self, part))
+            check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
