@@ -146,7 +146,7 @@ def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
         raise ValueError(f"{path}: no such file; expected a list of effects (YAML)")
     try:
         entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(entries, list):
         raise ValueError(f"{path}: expected a list of effects, got {type(entries).__name__}; see idapt diagnose --help")

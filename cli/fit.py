@@ -96,7 +96,10 @@ def current(argument: str) -> str:
     path = Path(argument)
     if path.name != "config.yaml" or not path.is_file():
         return argument
-    entries = yaml.safe_load(path.read_text())
+    try:
+        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError):
+        return argument  # the parser says what is wrong with it
     kept = without_retired(entries) if isinstance(entries, dict) else entries
     return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
 
@@ -107,11 +110,12 @@ def main(args: list[str]) -> int:
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
+    grounding = run.grounding  # settings that contradict each other end it here, where nothing is written yet
     with claim(run.folder), resumable(run.folder, "idapt fit", "stages"):
         write_provenance(cli.parser, cli.config, run.folder)
-        summary = run.grounding.run()
+        summary = grounding.run()
         if run.config.oracle:
-            train_oracle(run.grounding)
+            train_oracle(grounding)
             summary = run.evaluation.summary(run.config.schedule.grounding_steps)
         print_summary(summary, run.folder, write_run_report(run))
     return 0

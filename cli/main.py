@@ -92,7 +92,9 @@ def in_words(name: str, error: Exception) -> str:
     text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]
     if isinstance(error, MemoryError):
         return f"out of memory; smaller images, batches or buffers need less ({text or 'no more is known'})"
-    if isinstance(error, (ValueError, OSError, RuntimeError)) and not isinstance(error, RecursionError):
+    if isinstance(error, RecursionError):
+        return "an input is nested too deeply to be read"
+    if isinstance(error, (ValueError, OSError, RuntimeError)):
         return text or type(error).__name__
     return f"unexpected: {type(error).__name__}: {text}; this is a bug, --debug shows where"
 

@@ -310,16 +310,19 @@ class Run:
 
 
 def check_modules(context: StageContext) -> None:
-    """Make every module once, without memory for its weights: what cannot be made is better said before hours of G.
+    """Make every module once, without memory for weights, and show it an image: better told before hours of G.
 
     Raises:
         ValueError: naming the module that cannot be made and why.
     """
     dimensions, bounds = context.worlds.dimensions, context.worlds.action_bounds
-    with torch.device("meta"):
-        for name in ("state_predictor", "visual"):
-            with named(name):
-                getattr(context.make, name)(**dimensions)
+    side = context.worlds.image_size
+    with torch.device("meta"), torch.no_grad():
+        with named("state_predictor"):
+            context.make.state_predictor(**dimensions).P_S(torch.empty(2, 3 * context.worlds.frame_stack, side, side))
+        with named("visual"):
+            G = context.make.visual(**dimensions)
+            G.D_T(G.G(torch.empty(2, 3 * G.frames, side, side)))
         with named("policy"):
             pi = context.make.policy(**dimensions, **bounds)
         with named("dynamics"):
@@ -331,8 +334,10 @@ def named(module: str) -> Iterator[None]:
     """Say of which module an error is."""
     try:
         yield
-    except (ValueError, RuntimeError) as error:
+    except ValueError as error:
         raise ValueError(f"{module}: {error}") from None
+    except (RuntimeError, AssertionError) as error:  # torch's words for sizes that do not go together
+        raise ValueError(f"{module}: its settings do not suit images of this size ({error})") from None
 
 
 def module_factories(config: RunConfig) -> ModuleFactories:

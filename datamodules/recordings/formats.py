@@ -49,9 +49,7 @@ def read_recording(path: Path | str, mapping: Mapping, format: str | None = None
         raise
     except Exception as error:  # the packages that read a format raise what they like on bytes they cannot read
         told = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise RecordingError(
-            f"{path}: not readable as {kind} (truncated or of another kind): {told}"
-        ) from None
+        raise RecordingError(f"{path}: not readable as {kind} (truncated or of another kind): {told}") from None
     if not episodes:
         raise RecordingError(f"{path}: holds no episodes")
     return episodes

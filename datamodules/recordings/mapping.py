@@ -214,7 +214,8 @@ def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
     if "dt" in top:
         dt = _number("dt", top["dt"])
         if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
-            raise RecordingError(f"dt: expected a period of {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} seconds, got {dt:g}")
+            allowed = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} seconds"
+            raise RecordingError(f"dt: expected a period of {allowed}, got {dt:g}")
         return None, dt
     value = top["time"] if isinstance(top["time"], dict) else {"column": top["time"]}
     entry = _section("time", value, ("column", "unit"))

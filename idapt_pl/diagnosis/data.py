@@ -131,6 +131,8 @@ def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tup
     ):
         if array is None:
             continue
+        if array.dtype.kind not in "fiub":
+            raise UnusableData(f"{where}: {name} holds {array.dtype}, expected numbers")
         if array.ndim != 2 or array.shape[1] != width:
             raise UnusableData(f"{where}: {name} has shape {array.shape}, but the model has {width} {entries}")
         if not np.isfinite(array).all():

@@ -81,6 +81,10 @@ class PixelEncoder(nn.Module):
         self.convs = nn.ModuleList(nn.Conv2d(i, channels, 3, stride=s) for i, s in zip(ins, strides, strict=True))
         for stride in strides:
             height, width = (height - 3) // stride + 1, (width - 3) // stride + 1
+            if height < 1 or width < 1:
+                raise ValueError(
+                    f"of {self.crop} pixels nothing is left after convolutions with strides {list(strides)}"
+                )
         self.pool = {"flatten": nn.Flatten, "keypoints": Keypoints}[pool]()
         pooled = channels * height * width if pool == "flatten" else 2 * channels
         self.head = nn.Sequential(nn.Linear(pooled, features), nn.LayerNorm(features), nn.Tanh())
