@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
+from pathlib import Path
 
 
 class Help(argparse.ArgumentDefaultsHelpFormatter):
@@ -31,6 +33,21 @@ def parser(command: str, description: str, examples: str = "") -> argparse.Argum
         epilog=examples,
         formatter_class=HelpWithExamples if examples else Help,
     )
+
+
+def keep_inputs(out: Path, inputs: Iterable[Path | str | None]) -> None:
+    """Refuse to write over what is read.
+
+    Args:
+        out: what is to be written.
+        inputs: what is read; None where an option was not given.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    for path in (Path(p) for p in inputs if p is not None):
+        if out.resolve() == path.resolve() or (out.exists() and path.exists() and out.samefile(path)):
+            raise ValueError(f"{out}: --out is also read from; name another file")
 
 
 def show_bar() -> bool:

@@ -121,8 +121,8 @@ def main(args: list[str]) -> int:
         open_aside(Path(folder), only(name)).grounding.run()
     except WorkIsDone:
         return 0
-    except (ValueError, OSError, RuntimeError) as error:
-        print(json.dumps({"error": str(error)}))
+    except Exception as error:  # the process that waits says it in its own way
+        print(json.dumps({"error": str(error) or type(error).__name__}))
         return 1
     print(json.dumps({"error": f"{folder}: there is no work called {name}"}))
     return 1

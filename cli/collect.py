@@ -23,6 +23,7 @@ from datamodules.trajectories import content_hash
 from idapt_pl.envs import BlindTarget, ImageEnv, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import StateSAC
+from idapt_pl.ranges import COUNT, IMAGE_SIZE, SEED, check_ranges
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import random_policy
@@ -52,6 +53,10 @@ def main(args: list[str]) -> int:
     kinds = o.policy.split("+")
     if o.steps < len(kinds):
         raise ValueError(f"--steps must be at least {len(kinds)}, got {o.steps}")
+    values = {"--steps": o.steps, "--image-size": o.image_size, "--seed": o.seed}
+    check_ranges("", values, {"--steps": COUNT, "--image-size": IMAGE_SIZE, "--seed": SEED})
+    if o.out.is_dir():
+        raise ValueError(f"{o.out}: --out is a folder; name a file")
     task = make_task(o.task)
     checkpoints = {kind: expert(task, kind, o.seed, o.experts) for kind in kinds if kind != "random"}
     recorded = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)

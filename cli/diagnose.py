@@ -27,7 +27,7 @@ from rich.table import Table
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from cli.arguments import parser, show_bar
+from cli.arguments import keep_inputs, parser, show_bar
 from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.data import UnusableData
@@ -40,6 +40,7 @@ from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
+from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.forecast_page import forecast_verdict
@@ -59,6 +60,9 @@ EXAMPLES = """examples:
     target: shoulder
     parameters: {damping: 0.06}
 """
+
+WRITTEN = ("report.html", "report.json", "effects.yaml", "patched.xml", "looks.yaml", "looks.png")
+"""Files in the folder that a diagnosis writes."""
 
 
 def command_line() -> argparse.ArgumentParser:
@@ -98,6 +102,10 @@ def main(args: list[str]) -> int:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
     if o.out.exists() and not o.out.is_dir():
         raise ValueError(f"{o.out}: --out is a file; name a folder")
+    for name in WRITTEN:
+        keep_inputs(o.out / name, [o.model, o.data, o.effects])
+    keep_inputs(o.out, [o.run])
+    check_ranges("", vars(o), {"seed": Range(0, 2**31 - 1), "threads": Range(1, 1024)})
     if (o.model is None) == (o.run is None):
         p.error("give either --model (recordings of positions) or --run (recordings of images)")
     if o.looks and o.run is None:

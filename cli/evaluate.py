@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cli.arguments import parser
 from idapt_pl.files import write_json
+from idapt_pl.ranges import SEED, Range, check_ranges
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.run import Run
@@ -22,6 +23,8 @@ def main(args: list[str]) -> int:
     p.add_argument("--seed", type=int, default=12345, help="of the episodes' starts")
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
+    values = {"--episodes": o.episodes, "--seed": o.seed}
+    check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED})
     run = Run.open(o.run)
     run.restore_ledger()
     result = {

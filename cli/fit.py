@@ -13,8 +13,10 @@ from jsonargparse import Namespace
 from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from cli.aside import OtherProcesses, processes_beside
+from cli.interrupt import resumable
 from cli.provenance import claim, write_provenance
 from cli.run_folder import resumed_in_place
 from cli.table import print_summary
@@ -57,9 +59,15 @@ class GroundingCLI(LightningCLI):
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         RunConfig.add_arguments(parser)
         parser.add_lightning_class_args(L.Trainer, "trainer")
+        parser.set_defaults({"trainer.devices": 1})
 
     def instantiate_classes(self) -> None:
+        self.config.trainer.devices = one_device(self.config.trainer)
         self.config_init = self.parser.instantiate_classes(self.config)
+        try:
+            self.instantiate_trainer(logger=False)  # what it does not take is better said now
+        except MisconfigurationException as error:
+            raise ValueError(f"trainer: {error}") from None
 
     def run(self, aside: Aside | None = None) -> Run:
         """The run that the config describes; by default its work is set aside as the config says."""
@@ -79,12 +87,31 @@ class GroundingCLI(LightningCLI):
         )
 
 
+def one_device(trainer: Namespace) -> int | str | list[int]:
+    """Which device to train on: the stages act and learn in turn, in this one process.
+
+    Raises:
+        ValueError: if there are to be several.
+    """
+    devices = 1 if trainer.devices == "auto" else trainer.devices
+    count = len(devices) if isinstance(devices, list) else devices
+    if str(count) != "1" or trainer.num_nodes != 1:
+        raise ValueError(
+            f"trainer.devices is {devices}, trainer.num_nodes {trainer.num_nodes}, but a run acts and learns in turn "
+            "in one process: give 1 of each, or the device to take, such as [0]. Several seeds can run side by side"
+        )
+    return devices
+
+
 def current(argument: str) -> str:
     """A config of an earlier version as text that this one parses; any other argument as it is."""
     path = Path(argument)
     if path.name != "config.yaml" or not path.is_file():
         return argument
-    entries = read_yaml(path)
+    try:
+        entries = read_yaml(path)
+    except ValueError:
+        return argument  # the parser says what is wrong with it
     kept = without_retired(entries) if isinstance(entries, dict) else entries
     return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
 
@@ -111,13 +138,14 @@ def main(args: list[str]) -> int:
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
-    with claim(run.folder), ended(run.aside):
+    grounding = run.grounding  # settings that contradict each other end it here, where nothing is written yet
+    with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
         run.restore_ledger()
-        evaluations = run.grounding.run()
+        evaluations = grounding.run()
         summary = run.evaluation.summary(evaluations)
         if run.config.oracle:
-            train_oracle(run.grounding)
+            train_oracle(grounding)
             summary = run.evaluation.summary(evaluations)
         print_summary(summary, run.folder, write_run_report(run))
     return 0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cli.arguments import parser
 from idapt_pl.files import write_atomically
+from idapt_pl.ranges import IMAGE_SIZE, check_ranges
 from idapt_pl.report.gallery import LearnedTranslation, gallery_page
 from idapt_pl.run import Run
 from idapt_pl.tasks import TASKS, make_task
@@ -22,6 +23,9 @@ def main(args: list[str]) -> int:
     p.add_argument("--image-size", type=int, default=200, help="side of the pictures, pixels")
     p.add_argument("--run", type=Path, nargs="+", default=[], help="run folders whose G is shown too")
     o = p.parse_args(args)
+    check_ranges("", {"--image-size": o.image_size}, {"--image-size": IMAGE_SIZE})
+    if o.out.exists() and not o.out.is_dir():
+        raise ValueError(f"{o.out}: --out is a file; name a folder")
     learned = [load_translation(run) for run in o.run]
     shown = [(g.task, g.target) for g in learned]
     if len(set(shown)) < len(shown):

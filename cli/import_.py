@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from tqdm import tqdm
 
-from cli.arguments import parser, show_bar
+from cli.arguments import keep_inputs, parser, show_bar
 from datamodules import write_trajectories
 from datamodules.recordings import (
     FORMATS,
@@ -48,8 +48,8 @@ def main(args: list[str]) -> int:
     o = p.parse_args(args)
     if o.out is None and not o.dry_run:
         p.error("--out is required, or --dry-run to write nothing")
-    if o.out is not None and o.out.resolve() in [Path(r).resolve() for r in (*o.recordings, o.map)]:
-        raise RecordingError(f"{o.out}: --out is also read from; name another file")
+    if o.out is not None:
+        keep_inputs(o.out, [*o.recordings, o.map, o.model])
     mapping, layout = read_mapping(o.map), None
     if o.model is not None:
         layout = read_layout(o.model)

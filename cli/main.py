@@ -10,6 +10,8 @@ import re
 import sys
 import warnings
 
+from cli.interrupt import Interrupted, interruptible
+
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
     "visual": "train and use the visual transformation alone, on any two sets of images",
@@ -37,9 +39,6 @@ HARMLESS = (
 )
 """Warnings of other packages that a user can do nothing about, as patterns of how they begin."""
 
-RESUMED = ("fit", "visual")
-"""Commands that go on where they were interrupted."""
-
 
 def usage() -> str:
     """The overview that ``idapt --help`` prints."""
@@ -52,7 +51,7 @@ def usage() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command. Returns 0 (ok), 1 (failed) or 2 (bad usage)."""
+    """Run a command. Returns 0 (ok), 1 (failed), 2 (bad usage), 130 (Ctrl-C) or 143 (SIGTERM)."""
     argv = sys.argv[1:] if argv is None else argv
     if not argv or argv[0] in ("-h", "--help"):
         print(usage())
@@ -64,25 +63,41 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
     for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
-    debug = "--debug" in rest
-    rest = [a for a in rest if a != "--debug"]
     for message in HARMLESS:
         warnings.filterwarnings("ignore", message)
     try:
+        with interruptible():
+            return run_command(name, [a for a in rest if a != "--debug"], "--debug" in rest)
+    except Interrupted as interrupted:
+        print(f"idapt {name}: {interrupted}", file=sys.stderr)
+        return interrupted.exit_code
+
+
+def run_command(name: str, args: list[str], debug: bool) -> int:
+    """Run one of :data:`COMMANDS`, with errors on one line, or (to debug) as they are. Returns its exit code."""
+    try:
         module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
-        return importlib.import_module(f"cli.{module}").main(rest)
-    except argparse.ArgumentError as error:
-        print(f"idapt {name}: {plain(error)}. `idapt {name} --help` lists what there is.", file=sys.stderr)
-        return 2
-    except (ValueError, OSError, RuntimeError) as error:
+        return importlib.import_module(f"cli.{module}").main(args)
+    except Exception as error:
         if debug:
             raise
-        print(f"idapt {name}: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        then = "the same command resumes it" if name in RESUMED else "nothing was finished; run it again"
-        print(f"idapt {name}: interrupted; {then}", file=sys.stderr)
-        return 1
+        print(f"idapt {name}: {in_words(name, error)}", file=sys.stderr)
+        return 2 if isinstance(error, argparse.ArgumentError) else 1
+
+
+def in_words(name: str, error: Exception) -> str:
+    """An error on one or two lines; what no user should be able to cause is called a bug."""
+    if isinstance(error, argparse.ArgumentError):
+        return f"{plain(error)}. `idapt {name} --help` lists what there is."
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]
+    if isinstance(error, MemoryError):
+        return f"out of memory; smaller images, batches or buffers need less ({text or 'no more is known'})"
+    if isinstance(error, RecursionError):
+        return "an input is nested too deeply to be read"
+    if isinstance(error, (ValueError, OSError, RuntimeError)):
+        return text or type(error).__name__
+    return f"unexpected: {type(error).__name__}: {text}; this is a bug, --debug shows where"
 
 
 def plain(error: argparse.ArgumentError) -> str:

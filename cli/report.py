@@ -25,5 +25,7 @@ def main(args: list[str]) -> int:
     p.add_argument("--run", type=Path, required=True, help="run folder, as `idapt fit` wrote it")
     p.add_argument("--out", type=Path, help="file to write; RUN/report.html if left out")
     o = p.parse_args(args)
+    if o.out is not None and o.out.exists() and o.out.suffix != ".html":
+        raise ValueError(f"{o.out}: --out is there already and is no page; name an .html file")
     print(write_run_report(Run.open(o.run), o.out))
     return 0

@@ -16,6 +16,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli import visual_export
+from cli.interrupt import resumable
 from cli.provenance import write_provenance
 from cli.run_folder import resumed_in_place
 from cli.visual_quality import TranslationQuality
@@ -23,10 +24,13 @@ from cli.visual_writer import TranslationWriter
 from datamodules.atomic import remove_stale
 from datamodules.images import ImageDomains
 from idapt_pl.checkpoints import read_checkpoint
+from idapt_pl.health import Health, check_weights
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.manual import computes_bfloat16
+from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.modules.state_predictor import fit_state_predictor
 from idapt_pl.nets.encoder import Vision
+from idapt_pl.ranges import COUNT, COUNT_OR_NONE, POSITIVE, check_ranges
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +52,9 @@ class Labelled:
     batches: int = 2000
     batch_size: int = 32
     lr: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check_ranges("labelled", vars(self), {"batches": COUNT_OR_NONE, "batch_size": COUNT, "lr": POSITIVE})
 
 
 class SeedEpochs(L.Callback):
@@ -110,6 +117,7 @@ class VisualCLI(LightningCLI):
     def new_model(self) -> VisualTransformation:
         """A model for the data; with labels, around a P^S that is fitted to them first."""
         o, dimensions = self.options, self.datamodule.dimensions
+        check_ranges("model", o.model.as_dict(), MODULE_RANGES["visual"])
         model = VisualTransformation(**o.model.as_dict(), vision=o.vision, bf16=False, **dimensions)
         self.resume()
         if model.P_T is not None and not o.ckpt_path:
@@ -118,7 +126,9 @@ class VisualCLI(LightningCLI):
             P_S = o.vision.predictor(
                 dimensions["image_size"], dimensions["frame_stack"], source.labels.shape[1], {}, 1.0
             )
-            model.adopt(fit_state_predictor(P_S, source, **vars(o.labelled), device=device))
+            P_S = fit_state_predictor(P_S, source, **vars(o.labelled), device=device)
+            check_weights(P_S, "visual fit, P^S", "Look at labelled.lr")
+            model.adopt(P_S)
         elif model.P_T is not None:
             model.adopt(model.P_T)
         return model
@@ -156,7 +166,9 @@ class VisualCLI(LightningCLI):
             kwargs["logger"] = [make(self.run_dir, name="", version="") for make in kinds]
         if self.subcommand == "fit":
             keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
-            kwargs["callbacks"] = [*(config.callbacks or []), SeedEpochs(int(self.options.seed_everything)), keep]
+            self.health = Health("visual fit", "model")
+            seeds = SeedEpochs(int(self.options.seed_everything))
+            kwargs["callbacks"] = [*(config.callbacks or []), seeds, self.health, keep]
         if config.precision is None:
             on_gpu = config.accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
             kwargs["precision"] = "bf16-mixed" if computes_bfloat16("cuda" if on_gpu else "cpu") else "32-true"
@@ -167,13 +179,10 @@ class VisualCLI(LightningCLI):
         return super().instantiate_trainer(**kwargs)
 
     def fit(self, **arguments: Any) -> None:
-        """Train; Lightning leaves the program where a run is interrupted, without a word."""
-        try:
+        """Train, and say what is kept where that is interrupted."""
+        with resumable(self.run_dir, "idapt visual fit", "epochs"), self.health.explaining(self.model):
             self.trainer.fit(**arguments)
-        except SystemExit:
-            if self.trainer.interrupted:
-                raise KeyboardInterrupt from None
-            raise
+        self.health.running_away(self.model, self.datamodule)
         if self.trainer.is_global_zero:
             log.info("%d epochs done -> %s", self.trainer.current_epoch, self.run_dir / "last.ckpt")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.arguments import parser
+from cli.arguments import keep_inputs, parser
 from idapt_pl.modules import VisualTransformation
 from idapt_pl.modules.export import Translator, export_translator, largest_deviation
 
@@ -24,7 +24,9 @@ def main(args: list[str]) -> int:
     p.add_argument("--out", type=Path, required=True, help="file to write: .pt2 or .onnx")
     p.add_argument("--back", action="store_true", help="export the way back, from the target's look to the source's")
     o = p.parse_args(args)
-    translator = Translator(VisualTransformation.from_checkpoint(o.ckpt_path or o.run_dir / "last.ckpt"), o.back)
+    checkpoint = o.ckpt_path or o.run_dir / "last.ckpt"
+    keep_inputs(o.out, [checkpoint])
+    translator = Translator(VisualTransformation.from_checkpoint(checkpoint), o.back)
     export_translator(translator, o.out)
     if (difference := largest_deviation(translator, o.out)) > TOLERANCE:
         o.out.unlink()

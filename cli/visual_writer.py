@@ -14,6 +14,7 @@ import numpy as np
 from lightning.pytorch.callbacks import BasePredictionWriter
 from torch import Tensor
 
+from cli.arguments import keep_inputs
 from datamodules import Trajectories, write_trajectories
 from datamodules.images import StillImages, TrajectoryImages
 from idapt_pl.files import write_atomically
@@ -41,6 +42,8 @@ class TranslationWriter(BasePredictionWriter):
         if isinstance(images, TrajectoryImages) != (self.out.suffix in (".h5", ".hdf5")):
             wanted = "a trajectory file (.h5)" if isinstance(images, TrajectoryImages) else "a folder"
             raise ValueError(f"predictions.out is {self.out}, but {images.where} becomes {wanted}")
+        places = trainer.datamodule.places[trainer.datamodule.predicted]
+        keep_inputs(self.out, [places] if isinstance(places, str) else places if isinstance(places, list) else [])
         if isinstance(images, TrajectoryImages) and trainer.world_size > 1:
             raise ValueError("a trajectory file is written by one process: use --trainer.devices 1")
 

@@ -140,9 +140,14 @@ def read_trajectories(path: Path | str) -> Trajectories:
         TrajectoryFileError: naming the file, the dataset, what was expected and what came.
     """
     with open_trajectory_file(path) as f:
-        episodes = tuple(_read_episode(path, f, i) for i in range(int(f.attrs["total_episodes"])))
-        trajectories = Trajectories(episodes, float(f.attrs["dt"]), str(f.attrs.get("source", "")))
-        noted = int(f.attrs["total_steps"])
+        try:
+            number, noted, dt = int(f.attrs["total_episodes"]), int(f.attrs["total_steps"]), float(f.attrs["dt"])
+        except (TypeError, ValueError, OverflowError):
+            raise TrajectoryFileError(
+                f"{path}: the root attributes total_episodes, total_steps and dt must be numbers"
+            ) from None
+        episodes = tuple(_read_episode(path, f, i) for i in range(number))
+        trajectories = Trajectories(episodes, dt, str(f.attrs.get("source", "")))
     if trajectories.total_steps != noted:
         raise TrajectoryFileError(
             f"{path}: its episodes have {trajectories.total_steps} actions, but its attribute total_steps is {noted}"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jsonargparse import ArgumentParser, Namespace
 
 from idapt_pl.effects import View, effect_from_dict
@@ -19,7 +21,9 @@ from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
+from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
@@ -150,6 +154,7 @@ class RunConfig:
         values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
         values["schedule"] = values["schedule"].for_task(values["task"], values["target"])
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
+        made.check_ranges()
         made.check_encoder()
         return made
 
@@ -173,6 +178,29 @@ class RunConfig:
             config = parser.parse_object(entries | {"run_dir": str(folder)})
             return cls.from_namespace(parser.instantiate_classes(config))
 
+    def check_ranges(self) -> None:
+        """Numbers that can be right; the other settings check their own when they are made.
+
+        Raises:
+            ValueError: naming the first key that is out of its range.
+        """
+        top = {"seed": SEED, "image_size": IMAGE_SIZE, "frame_stack": Range(1, 64)}
+        check_ranges(
+            "",
+            vars(self),
+            top | {"episodes": Range(1, 1e6), "render_processes": Range(0, 256), "threads": Range(1, 1024)},
+        )
+        for name, ranges in MODULE_RANGES.items():
+            check_ranges(name, self.modules[name], ranges)
+        steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
+        steps |= {"schedule.source_policy": self.schedule.source_policy, "teacher.dagger": self.teacher.dagger}
+        for key, number in steps.items():
+            if 0 < number < self.feeding.num_envs:
+                raise ValueError(
+                    f"{key} is {number} steps for the {self.feeding.num_envs} simulations of feeding.num_envs: "
+                    "nothing would be trained. Give at least one step for each, or 0"
+                )
+
     def check_encoder(self) -> None:
         """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
 
@@ -187,6 +215,11 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
+        if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
+            raise ValueError(
+                f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
+                "states, those of a supervised encoder. Set one or the other."
+            )
 
     @property
     def folder(self) -> Path:
@@ -231,7 +264,9 @@ class Run:
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
-        return cls(config, StageContext(worlds, stages, module_factories(config), b, teacher), aside)
+        context = StageContext(worlds, stages, module_factories(config), b, teacher)
+        check_modules(context)
+        return cls(config, context, aside)
 
     @classmethod
     def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:
@@ -314,6 +349,37 @@ class Run:
         """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
         G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
         return self.load_policy(made[-1]).estimator(G) if made else G.estimator
+
+
+def check_modules(context: StageContext) -> None:
+    """Make every module once, without memory for weights, and show it an image: better told before hours of G.
+
+    Raises:
+        ValueError: naming the module that cannot be made and why.
+    """
+    dimensions, bounds = context.worlds.dimensions, context.worlds.action_bounds
+    side = context.worlds.image_size
+    with torch.device("meta"), torch.no_grad():
+        with named("state_predictor"):
+            context.make.state_predictor(**dimensions).P_S(torch.empty(2, 3 * context.worlds.frame_stack, side, side))
+        with named("visual"):
+            G = context.make.visual(**dimensions)
+            G.D_T(G.G(torch.empty(2, 3 * G.frames, side, side)))
+        with named("policy"):
+            pi = context.make.policy(**dimensions, **bounds)
+        with named("dynamics"):
+            context.make.dynamics(encoder=pi.actor.encoder, **bounds)
+
+
+@contextmanager
+def named(module: str) -> Iterator[None]:
+    """Say of which module an error is."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{module}: {error}") from None
+    except (RuntimeError, AssertionError) as error:  # torch's words for sizes that do not go together
+        raise ValueError(f"{module}: its settings do not suit images of this size ({error})") from None
 
 
 def module_factories(config: RunConfig) -> ModuleFactories:

@@ -21,6 +21,7 @@ from datamodules.trajectories import count_steps
 from idapt_pl.checkpoints import checkpoint_bytes, load_weights
 from idapt_pl.cores import FreeCores
 from idapt_pl.files import REDO, DamagedFile, blaming, read_json, sha256, verify, write_bytes, write_json
+from idapt_pl.health import Health, check_weights
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -101,6 +102,7 @@ class Stages:
 
         Raises:
             DamagedFile: if this stage is done and its checkpoint cannot be used.
+            NotFinite: if a loss or a weight is NaN or infinite; nothing is kept.
         """
         folder, seed = self.folder(step) / name, stage_seed(self.seed, step, name)
         L.seed_everything(seed, verbose=False)
@@ -111,14 +113,17 @@ class Stages:
             return load_finished(module, final)
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
         started, notes = time.perf_counter(), {}
+        health = Health(f"step {step}, stage {name}")
         if batches:
             trainer = self.make_trainer(folder, batches)
-            trainer.callbacks.append(self.cores)
+            trainer.callbacks += [self.cores, health]
             device = trainer.strategy.root_device
-            trainer.fit(module, datamodule=feed(module.to(device), seed, device))
-            if trainer.interrupted:
-                raise KeyboardInterrupt
-            notes = finish(module.to(device), device)
+            data = feed(module.to(device), seed, device)
+            with health.explaining(module):
+                trainer.fit(module, datamodule=data)
+            away = health.running_away(module, data)
+            notes = finish(module.to(device), device) | ({"ran_away": away} if away else {})
+        check_weights(module, health.where, health.cure(module))
         seconds = time.perf_counter() - started
         weights = checkpoint_bytes(module)
         about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "batches": batches}

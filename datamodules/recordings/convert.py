@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError
-from datamodules.recordings.mapping import Channel, Mapping
+from datamodules.recordings.mapping import LONGEST_PERIOD, SHORTEST_PERIOD, Channel, Mapping
 from datamodules.recordings.recorded import Recorded
 from datamodules.trajectories import Episode, Trajectories
 
+PAUSE, PAUSE_PERIODS = 1.0, 10
+"""A pause is long, and ends an episode, if it lasts longer than so many seconds and so many periods."""
 IRREGULAR = 0.01
 """Periods that differ by more than this share of the median make sampling irregular: times are kept."""
 
@@ -56,9 +58,10 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "") -> I
     """
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
     times = [_times(episode, mapping) for episode in episodes]
+    episodes, times, cut = _cut_at_pauses(episodes, times)
     timing = _timing(times, episodes)
     made = tuple(_episode(e, mapping, t, timing) for e, t in zip(episodes, times, strict=True))
-    return Imported(Trajectories(made, timing.dt, source), timing, _notes(mapping, timing))
+    return Imported(Trajectories(made, timing.dt, source), timing, cut + _notes(mapping, timing))
 
 
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
@@ -83,7 +86,7 @@ def _rows(channels: list[Channel], recorded: Recorded, rows: int) -> np.ndarray:
         for column in channel.columns:
             values = recorded.numbers(column, channel.key)
             _check_length(recorded, column, len(values), rows)
-            blocks.append(channel.value(values))
+            blocks.append(_converted(recorded, channel, values, np.finfo(np.float64).max))
         if channel.constant:
             blocks.append(np.full(rows, channel.offset))
     return np.column_stack(blocks)
@@ -97,7 +100,15 @@ def _command(channel: Channel, recorded: Recorded, rows: int, at: str) -> np.nda
     length = len(recorded.column(column, channel.key))
     _check_length(recorded, column, length, rows, rows - 1)
     keep = slice(None) if length == rows - 1 else slice(None, -1) if at == "start" else slice(1, None)
-    return channel.value(recorded.numbers(column, channel.key, keep))
+    values = recorded.numbers(column, channel.key, keep)
+    return _converted(recorded, channel, values, float(np.finfo(np.float32).max))
+
+
+def _converted(recorded: Recorded, channel: Channel, values: np.ndarray, largest: float) -> np.ndarray:
+    try:
+        return channel.value(values, float(largest))
+    except RecordingError as error:
+        raise RecordingError(f"{recorded.source}: {error}") from None
 
 
 def _info(recorded: Recorded, name: str, column: str) -> np.ndarray:
@@ -140,10 +151,38 @@ def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
     return times
 
 
+def _cut_at_pauses(
+    episodes: list[Recorded], times: list[np.ndarray]
+) -> tuple[list[Recorded], list[np.ndarray], tuple[str, ...]]:
+    """Episodes without long pauses, in which nobody knows what was commanded; and what to tell of it."""
+    period = float(np.median(np.concatenate([np.diff(t) for t in times])))
+    long = max(PAUSE, PAUSE_PERIODS * period)
+    parts, lost, pauses = [], 0, []
+    for episode, t in zip(episodes, times, strict=True):
+        ends = [*np.flatnonzero(np.diff(t) > long) + 1, len(t)]
+        pauses += [(t[k] - t[k - 1], f"{episode.source}, {episode.row(k - 1)}") for k in ends[:-1]]
+        for a, b in zip([0, *ends[:-1]], ends, strict=True):
+            lost += b - a < 2
+            if b - a > 1:
+                parts.append((episode if len(ends) == 1 else episode.rows(a, b, len(t)), t[a:b] - t[a]))
+    if not pauses:
+        return episodes, times, ()
+    if not parts:
+        raise RecordingError(f"{episodes[0].source}: every row is followed by a pause; is the unit of time right?")
+    longest, where = max(pauses)
+    note = (
+        f"{len(pauses)} pauses of more than {long:.3g} s, the longest {longest:.3g} s after {where}: the recording is "
+        f"cut there, into {len(parts)} episodes" + (f" ({lost} single rows are left out)" if lost else "")
+    )
+    return [p for p, _ in parts], [t for _, t in parts], (note,)
+
+
 def _timing(times: list[np.ndarray], episodes: list[Recorded]) -> Timing:
     periods = np.concatenate([np.diff(t) for t in times])
     dt = float(f"{np.median(periods):.12g}")  # without the last digits' rounding
     jitter = float(np.abs(periods - dt).max() / dt)
+    if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
+        raise RecordingError(f"{episodes[0].source}: rows are {dt:.3g} s apart; is the unit of time right (time.unit)?")
     drift = max(abs(t[-1] - dt * (len(t) - 1)) for t in times) / dt
     longest = max(range(len(times)), key=lambda i: np.diff(times[i]).max())
     gaps = np.diff(times[longest])

@@ -42,7 +42,14 @@ def read_recording(path: Path | str, mapping: Mapping, format: str | None = None
         RecordingError: naming the file, what was expected and what came.
     """
     path = find(path, format)
-    episodes = FORMATS[format or guess(path)](path, mapping)
+    kind = format or guess(path)
+    try:
+        episodes = FORMATS[kind](path, mapping)
+    except (RecordingError, MemoryError):
+        raise
+    except Exception as error:  # the packages that read a format raise what they like on bytes they cannot read
+        told = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise RecordingError(f"{path}: not readable as {kind} (truncated or of another kind): {told}") from None
     if not episodes:
         raise RecordingError(f"{path}: holds no episodes")
     return episodes

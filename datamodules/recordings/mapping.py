@@ -18,6 +18,8 @@ KEYS = (
     *("time", "dt", "joints", "actuators", "infos", "episodes", "actions_at"),
     *("skip_rows", "header", "delimiter", "clock"),
 )
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 100.0
+"""Control period [s] beyond which a unit is wrong."""
 CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant")
 
 
@@ -46,9 +48,25 @@ class Channel:
         """Whether no column is behind it."""
         return not self.columns
 
-    def value(self, recorded: np.ndarray) -> np.ndarray:
-        """Numbers of a column, in the model's unit."""
-        return self.sign * self.scale * self.unit.factor * recorded + self.offset
+    def value(self, recorded: np.ndarray, largest: float) -> np.ndarray:
+        """Numbers of a column, in the model's unit.
+
+        Args:
+            recorded: as they were recorded.
+            largest: number that the file they go to can hold.
+
+        Raises:
+            RecordingError: if one is larger.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = self.sign * self.scale * self.unit.factor * recorded + self.offset
+        if not (np.abs(values) <= largest).all():
+            k = int(np.flatnonzero(~(np.abs(values) <= largest))[0])
+            raise RecordingError(
+                f"{self.key}: {recorded[k]:g} of column {self.columns[0]!r} becomes {values[k]:g} with its unit, scale "
+                "and offset, which no file can hold: correct them, or cut the recording"
+            )
+        return values
 
 
 @dataclass(frozen=True)
@@ -148,7 +166,7 @@ def _mapping(content: Any, source: str) -> Mapping:
         name: _channel(f"actuators.{name}", value, actuator_unit)
         for name, value in _names("actuators", top.get("actuators"))
     }
-    infos = {name: _column(f"infos.{name}", value) for name, value in _names("infos", top.get("infos"))}
+    infos = {_part(name): _column(f"infos.{name}", value) for name, value in _names("infos", top.get("infos"))}
     episodes = _section("episodes", top["episodes"], ("column",)) if "episodes" in top else {}
     delimiter, clock = (None if top.get(k) is None else _text(k, top[k]) for k in ("delimiter", "clock"))
     if delimiter is not None and len(delimiter) != 1:
@@ -178,8 +196,9 @@ def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
         )
     if "dt" in top:
         dt = _number("dt", top["dt"])
-        if dt <= 0:
-            raise RecordingError(f"dt: expected a period in seconds above 0, got {dt:g}")
+        if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
+            allowed = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} seconds"
+            raise RecordingError(f"dt: expected a period of {allowed}, got {dt:g}")
         return None, dt
     value = top["time"] if isinstance(top["time"], dict) else {"column": top["time"]}
     entry = _section("time", value, ("column", "unit"))
@@ -241,6 +260,13 @@ def _names(key: str, value: Any) -> list[tuple[str, Any]]:
     if not isinstance(value, dict):
         raise RecordingError(f"{key}: expected one entry a name, got {_shown(value)}")
     return [(_text(key, name), entry) for name, entry in value.items()]
+
+
+def _part(name: str) -> str:
+    """The name of an array in a trajectory file, in which a slash would make a group."""
+    if not name or "/" in name or "\0" in name or name == ".":
+        raise RecordingError(f"infos: a name goes into the file as it is, without slashes; got {name!r}")
+    return name
 
 
 def _column(key: str, value: Any) -> str:

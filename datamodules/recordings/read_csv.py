@@ -44,7 +44,8 @@ def _lines(path: Path, mapping: Mapping) -> list[tuple[int, list[str]]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as f:
             for _ in range(mapping.skip_rows):
-                f.readline()
+                if not f.readline():
+                    break
             start = f.tell()
             delimiter = mapping.delimiter or _delimiter(f.readline())
             f.seek(start)

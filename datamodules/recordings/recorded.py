@@ -78,6 +78,13 @@ class Recorded:
             )
         return values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
 
+    def rows(self, start: int, end: int, of: int) -> Recorded:
+        """Rows from ``start`` to before ``end``, of ``of``; columns that are one row shorter stay so."""
+        ends = {of: end, of - 1: end - 1}
+        numbers = np.arange(of) if self.row_numbers is None else self.row_numbers
+        columns = {k: a[start : ends[len(a)]] for k, a in self.columns.items() if len(a) in ends}
+        return replace(self, columns=columns, row_numbers=numbers[start:end])
+
     def split(self, name: str) -> list[Recorded]:
         """Episodes by a column that names them: rows with one value are one episode, in order of appearance."""
         ids = self.column(name, "episodes.column")

@@ -23,6 +23,9 @@ LATEST_VELOCITIES = 0.5
 SLOPE_HALF_WIDTH = 0.01
 """Velocities that were not measured are slopes of the positions over about this time to either side [s]."""
 
+LONGEST_PAUSE = 10.0
+"""Seconds between two rows, for which one command is simulated; more is no recording of them."""
+
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
 
@@ -80,8 +83,8 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
     Raises:
         UnusableData: naming the episode, what was expected and what came.
     """
-    if not (np.isfinite(data.dt) and data.dt > 0):
-        raise UnusableData(f"the control period dt must be a positive number of seconds, got {data.dt}")
+    if not 0 < data.dt <= LONGEST_PAUSE:
+        raise UnusableData(f"the control period dt must be above 0 and at most {LONGEST_PAUSE:g} s, got {data.dt:g} s")
     measured = [measured_signals(model, f"episode_{i}", episode) for i, episode in enumerate(data)]
     steps = sum(len(episode.actions) for episode in data)
     if steps < 20:
@@ -90,6 +93,11 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
     for i, (episode, (qpos, _)) in enumerate(zip(data, measured, strict=True)):
         time = episode.timestamps if episode.timestamps is not None else data.dt * np.arange(len(episode) + 1)
         time, qpos, actions = (np.asarray(x, float) for x in (time, qpos, episode.actions))
+        if (gaps := np.diff(time)).max() > LONGEST_PAUSE:
+            raise UnusableData(
+                f"episode_{i}: a pause of {gaps.max():.4g} s after row {gaps.argmax()}, where nobody knows what was "
+                "commanded: make two episodes of it (`idapt import` does)"
+            )
         sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions))
     if any(qvel is None for _, qvel in measured):
         return sloped, False
@@ -123,6 +131,8 @@ def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tup
     ):
         if array is None:
             continue
+        if array.dtype.kind not in "fiub":
+            raise UnusableData(f"{where}: {name} holds {array.dtype}, expected numbers")
         if array.ndim != 2 or array.shape[1] != width:
             raise UnusableData(f"{where}: {name} has shape {array.shape}, but the model has {width} {entries}")
         if not np.isfinite(array).all():

@@ -10,6 +10,7 @@ import numpy as np
 
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.runtime import CommandEffect
+from idapt_pl.ranges import Range, check_ranges
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,7 @@ class View:
     up: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.share <= 1:
-            raise ValueError(f"view.share must be in (0, 1], got {self.share:g}")
+        check_ranges("view", vars(self), {"share": Range(0, 1, "(]"), "up": Range(-1, 1)})
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         """Narrow every camera to the window. Lengths are in units of the whole image."""

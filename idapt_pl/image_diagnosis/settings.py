@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from idapt_pl.effects import EFFECTS
+from idapt_pl.ranges import Range, check_ranges
+
 SHORTEST_EPISODE = 6
 """Control steps that an episode must last to be of use."""
 DEFAULT_CANDIDATES = (
@@ -33,3 +36,8 @@ class DiscoverySettings:
     candidates: tuple[str, ...] = DEFAULT_CANDIDATES
     max_effects: int = 2
     looks: bool = False
+
+    def __post_init__(self) -> None:
+        check_ranges("effects", vars(self), {"max_effects": Range(1, 100)})
+        if unknown := [name for name in self.candidates if name not in EFFECTS]:
+            raise ValueError(f"effects.candidates: unknown effect {unknown[0]!r}; effects are: {', '.join(EFFECTS)}")

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from idapt_pl.nets.images import center_crop, height_width, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.ranges import Range, check_ranges
 
 Pool = Literal["flatten", "keypoints"]
 
@@ -80,6 +81,10 @@ class PixelEncoder(nn.Module):
         self.convs = nn.ModuleList(nn.Conv2d(i, channels, 3, stride=s) for i, s in zip(ins, strides, strict=True))
         for stride in strides:
             height, width = (height - 3) // stride + 1, (width - 3) // stride + 1
+            if height < 1 or width < 1:
+                raise ValueError(
+                    f"of {self.crop} pixels nothing is left after convolutions with strides {list(strides)}"
+                )
         self.pool = {"flatten": nn.Flatten, "keypoints": Keypoints}[pool]()
         pooled = channels * height * width if pool == "flatten" else 2 * channels
         self.head = nn.Sequential(nn.Linear(pooled, features), nn.LayerNorm(features), nn.Tanh())
@@ -234,6 +239,9 @@ class Vision:
     strides: tuple[int, int, int, int] = (2, 1, 1, 1)
     pool: Pool = "flatten"
     rates: Literal["learned", "differences", "frames"] = "learned"
+
+    def __post_init__(self) -> None:
+        check_ranges("vision", vars(self), {"crop": Range(1, 4096), "strides": Range(1, 8)})
 
     def encoder(self, image_size: int | Sequence[int], frame_stack: int) -> PixelEncoder:
         """A new encoder of stacks of K frames of this size (a side, or height and width, pixels)."""

@@ -91,7 +91,9 @@ class RenderProcess:
         path = os.pathsep.join(p or os.getcwd() for p in sys.path)
         env = os.environ | {"PYTHONPATH": path, "IDAPT_ONLY_RENDERS": "1"}
         command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env, process_group=0
+        )  # a group of its own: Ctrl-C is for the program that asks, also before `serve` can say so
         assert process.stdin is not None and isinstance(process.stdout, io.BufferedReader)  # as pipes are
         self._process, self._requests, self._answers = process, process.stdin, process.stdout
         return process
@@ -108,19 +110,34 @@ class RenderProcess:
 
 def serve() -> None:
     """In the process: answer until there are no more requests."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
+    for number in (signal.SIGINT, signal.SIGTERM):  # for the program that asks, whose end is the end of this one
+        signal.signal(number, signal.SIG_IGN)
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever libraries print must not get among the frames
-    for line in requests:
-        request = json.loads(line)
-        data, render = _loaded(request["model"], request["size"])
-        poses = [getattr(data, name) for name in POSES]
-        each = sum(p.nbytes for p in poses)
-        asked = requests.read(each * request["frames"])  # all, before any answer: else both sides wait for each other
-        for start in range(0, len(asked), each):
-            _pose(poses, asked[start : start + each])
-            answers.write(render(data).data)
-        answers.flush()
+    try:
+        while answer_one(requests, answers):
+            pass
+    except BrokenPipeError:  # who asked has ended
+        os._exit(0)  # nothing is left to be flushed
+
+
+def answer_one(requests: IO[bytes], answers: IO[bytes]) -> bool:
+    """Answer the next request. Returns False where there is none, or only a part of one: who asked has ended."""
+    line = requests.readline()
+    if not line.endswith(b"\n"):
+        return False
+    request = json.loads(line)
+    data, render = _loaded(request["model"], request["size"])
+    poses = [getattr(data, name) for name in POSES]
+    each = sum(p.nbytes for p in poses)
+    asked = requests.read(each * request["frames"])  # all, before any answer: else both sides wait for each other
+    if len(asked) < each * request["frames"]:
+        return False
+    for start in range(0, len(asked), each):
+        _pose(poses, asked[start : start + each])
+        answers.write(render(data).data)
+    answers.flush()
+    return True
 
 
 def _pose(poses: Sequence[np.ndarray], values: bytes) -> None:

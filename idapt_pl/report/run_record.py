@@ -55,6 +55,7 @@ class StepRecord:
         training: of the policy, as in its ``stage.json``: whether it was put back to what it was before.
         seconds: wall-clock time of every finished stage, s, in the order of Algorithm 1.
         interactions: target control steps that training had used when this step's policy was made.
+        ran_away: stages whose losses ran away though they stayed finite, each in words.
     """
 
     k: int
@@ -67,6 +68,7 @@ class StepRecord:
     training: dict
     seconds: dict[str, float]
     interactions: int
+    ran_away: list[str] = field(default_factory=list)
 
     @property
     def settled(self) -> bool:
@@ -187,7 +189,7 @@ def read_run_record(run: Path) -> RunRecord:
 def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepRecord:
     """Read the folder of one grounding step."""
     k = int(folder.name.removeprefix("step_"))
-    timed = map(files.read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")]))
+    timed = list(map(files.read, sorted([*folder.glob("*/stage.json"), *folder.glob("*.json")])))
     seconds = {t["stage"]: t["wall_s"] for t in timed if {"stage", "wall_s"} <= set(t)}
     return StepRecord(
         k,
@@ -200,6 +202,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         training=files.read(folder / "policy/stage.json"),
         seconds={name: seconds[name] for name in sorted(seconds, key=stage_place)},
         interactions=sum(e["count"] for e in ledger if e["purpose"] == "training" and e["step"] <= k),
+        ran_away=[f"{t['stage']}: {words}" for t in timed for words in t.get("ran_away", [])],
     )
 
 

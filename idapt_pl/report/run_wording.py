@@ -34,6 +34,7 @@ def format_distance(residual: dict, key: str) -> str:
 
 def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
     """What happened in a step, in sentences."""
+    away = [f"Training ran away, look at its curves. Stage {words}." for words in step.ran_away]
     sentences = []
     if step.convergence:
         sentences.append(Convergence.from_dict(step.convergence).sentence.capitalize() + ".")
@@ -41,7 +42,7 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
         return [*sentences, "So the run ended here, and the policy of the step before stays."]
     if not step.evaluation:
         stages = ", ".join(step.seconds) or "nothing"
-        return [*sentences, f"This step did not end: there is no evaluation. Finished in it: {stages}."]
+        return [*sentences, f"This step did not end: there is no evaluation. Finished in it: {stages}.", *away]
     before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
     now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
     now += f", {format_score(before['mean'], metric)} before" if before else ""
@@ -65,4 +66,4 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
         )
     if step.selection:
         sentences.append(RollbackDecision.from_dict(step.selection).sentence + ".")
-    return sentences
+    return sentences + away

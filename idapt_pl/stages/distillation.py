@@ -14,6 +14,7 @@ from gymnasium.vector import VectorEnv
 from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
+from idapt_pl.ranges import COUNT_OR_NONE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.stage import Stages
@@ -44,6 +45,8 @@ class TeacherSettings:
     updates_per_step: float = 1.0
 
     def __post_init__(self) -> None:
+        ranges = dict.fromkeys(("steps", "adapt", "dagger"), COUNT_OR_NONE)
+        check_ranges("teacher", vars(self), ranges | {"updates_per_step": Range(0, 1e6, "(]")})
         if bool(self.steps) != bool(self.dagger):
             raise ValueError(
                 f"teacher.steps is {self.steps} and teacher.dagger is {self.dagger}: a teacher trains (steps) and is "

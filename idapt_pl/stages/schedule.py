@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from idapt_pl.ranges import COUNT, COUNT_OR_NONE, Range, check_ranges
+
 POLICY_STEPS: dict[str, dict[str, tuple[int, int, int]]] = {
     "paper": {
         "inverted_pendulum": (10_000, 10_000, 10_000),
@@ -90,6 +92,13 @@ class Schedule:
     rollback: bool = False
     until_settled: bool = False
     lengths: Literal["given", "paper", "official"] = "given"
+
+    def __post_init__(self) -> None:
+        once = {"images": COUNT, "source_images": COUNT, "interactions": COUNT, "source_policy": COUNT_OR_NONE}
+        check_ranges("schedule", vars(self), once | {"grounding_steps": Range(0, 99)})
+        for part in ("pretrain", "finetune"):
+            lengths = vars(getattr(self, part))
+            check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
 
     def for_task(self, task: str, target: str) -> Schedule:
         """This schedule with the lengths that ``lengths`` asks for, for a task and its target, by their names."""

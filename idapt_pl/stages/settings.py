@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.ranges import COUNT, COUNT_OR_NONE, NOT_NEGATIVE, SHARE, Range, check_ranges
 
 
 @dataclass(frozen=True)
@@ -55,3 +56,14 @@ class BatchSettings:
     garat_start: Literal["identity", "matching"] = "identity"
     garat_ridge: float = 1e4
     trial_episodes: int = 0
+
+    def __post_init__(self) -> None:
+        sizes = ("state_predictor_batch", "visual_batch", "updates_per_step", "policy_batch", "garat_rollout")
+        ranges = dict.fromkeys(sizes, Range(1, 1e6)) | dict.fromkeys(("num_envs", "garat_envs"), Range(1, 1024))
+        ranges |= {"buffer_size": COUNT, "warmup_steps": COUNT_OR_NONE, "trial_episodes": COUNT_OR_NONE}
+        check_ranges("feeding", vars(self), ranges | {"garat_exploring": SHARE, "garat_ridge": NOT_NEGATIVE})
+        if self.garat_rollout < self.garat_envs:
+            raise ValueError(
+                f"feeding.garat_rollout is {self.garat_rollout} steps for the {self.garat_envs} simulations of "
+                "feeding.garat_envs: at least one for each"
+            )

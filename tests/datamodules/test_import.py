@@ -453,7 +453,7 @@ def test_free_joint_takes_seven_columns(tmp_path):
         (changed(time={"column": "t", "unit": "sec"}), "time.unit: expected s or ms or us or ns, got 'sec'"),
         (changed(dt=0.02), "either time, .* or dt: <seconds>; it has both"),
         (changed(time=None), "it has neither"),
-        (changed(time=None, dt=0), "dt: expected a period in seconds above 0, got 0"),
+        (changed(time=None, dt=0), "dt: expected a period of 1e-06 to 100 seconds, got 0"),
         (changed(time=None, dt="fast"), "dt: expected a number, got 'fast'"),
         (changed(joints=None), "joints: expected at least one joint with a position column"),
         (changed(joints={"a": {"velocity": "v"}}), "joints.a: position is missing"),
@@ -647,10 +647,46 @@ def test_unlimited_hinge_in_degrees_and_a_pause_are_noted(tmp_path):
     (tmp_path / "wheel.xml").write_text(
         '<mujoco><worldbody><body><joint name="w"/><geom size="1"/></body></worldbody></mujoco>'
     )
-    path = write_csv(tmp_path / "a.csv", {"t": [0, 1, 2, 3, 20], "q": [0, 90, 180, 270, 360]})
-    notes = load(path, {"time": "t", "joints": {"w": {"position": "q"}}}, model=tmp_path / "wheel.xml").notes
+    path = write_csv(tmp_path / "a.csv", {"t": [0, 1, 2, 3, 20, 21], "q": [0, 90, 180, 270, 360, 360]})
+    content = {"time": "t", "joints": {"w": {"position": "q"}}}
+    notes = load(path, content, model=tmp_path / "wheel.xml").notes
     assert any("are the units degrees" in note for note in notes)
-    assert any("a pause of 17 s after" in note and "line 5" in note for note in notes)
+    assert any("the longest 17 s after" in note and "line 5" in note for note in notes)
+
+
+def test_long_pauses_end_episodes_and_are_told_of(tmp_path):
+    t = np.concatenate([np.arange(10) * 0.1, 1000 + np.arange(5) * 0.1, [5000], 6000 + np.arange(3) * 0.1])
+    path = write_csv(tmp_path / "a.csv", {"t": t, "q": np.arange(19), "u": np.arange(19)})
+    content = {"time": "t", "joints": {"w": {"position": "q"}}, "actuators": {"m": "u"}}
+    imported = load(path, content)
+    assert [len(e) for e in imported.trajectories] == [9, 4, 2]
+    assert imported.trajectories.dt == pytest.approx(0.1) and imported.timing.regular
+    first = [e.observations["qpos"][0, 0] for e in imported.trajectories]
+    assert first == [0, 10, 16] and imported.trajectories.episodes[1].actions[:, 0].tolist() == [10, 11, 12, 13]
+    (note,) = imported.notes
+    assert note.startswith("3 pauses of more than 1 s, the longest 4e+03 s after") and "line 16" in note
+    assert note.endswith("into 3 episodes (1 single rows are left out)")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joints": {"w": {"position": {"column": "q", "scale": 1e300}}}}, "joints.w.position: 1e\\+10 of column 'q'"),
+        ({"actuators": {"m": {"column": "u", "scale": 1e38}}}, "actuators.m: 11 of column 'u' becomes 1.1e\\+39"),
+        ({"infos": {"a/b": "u"}}, "infos: a name goes into the file as it is, without slashes; got 'a/b'"),
+        ({"time": {"column": "t", "unit": "ns"}}, "is the unit of time right"),
+    ],
+)
+def test_what_no_file_can_hold_is_refused(changes, message, tmp_path):
+    path = write_csv(tmp_path / "a.csv", {"t": [0, 1, 2], "q": [0, 1, 1e10], "u": [1, 11, 1]})
+    with pytest.raises(RecordingError, match=message):
+        load(path, {"time": "t", "joints": {"w": {"position": "q"}}} | changes)
+
+
+def test_more_skipped_rows_than_there_are_end_at_once(tmp_path):
+    path = write_csv(tmp_path / "a.csv", {"t": [0, 1, 2], "q": [0, 1, 2]})
+    with pytest.raises(RecordingError, match="is empty after the 1000000000000 skipped rows"):
+        load(path, {"time": "t", "skip_rows": 10**12, "joints": {"w": {"position": "q"}}})
 
 
 # --- the command ----------------------------------------------------------------------------------------

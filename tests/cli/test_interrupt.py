@@ -1,0 +1,133 @@
+"""Ctrl-C and SIGTERM: one line that says what is kept, a code that says it did not finish, no process left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from cli.interrupt import ONE_PRESS, Interrupted, interruptible
+from cli.main import main
+
+CODES = {signal.SIGINT: (130, "Ctrl-C"), signal.SIGTERM: (143, "SIGTERM")}
+
+
+def stopped(command, begun, signals, delay=0.5):
+    """Exit code and stderr of a command that is sent signals once ``begun()``; none of its group may be left."""
+    env = os.environ | {"PYTHONPATH": str(ROOT), "IDAPT_RENDERER": "classic"}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cli", *map(str, command)],
+        env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, process_group=0,
+    )  # fmt: skip
+    until = time.monotonic() + 90
+    while not begun() and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.05)
+    time.sleep(delay)
+    for number in signals:
+        os.killpg(process.pid, number)
+    said = process.communicate(timeout=60)[1]  # waits for whoever else holds stderr, such as processes that render
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)
+    return process.returncode, said
+
+
+LONG = 1_000_000
+STAGES = {
+    "recording": ({"schedule__images": LONG}, "run.json"),
+    "P_S": ({"schedule__pretrain__state_predictor": LONG}, "step_00/state_predictor/hparams.yaml"),
+    "SAC": ({"schedule__source_policy": LONG}, "step_00/source_policy/hparams.yaml"),
+    "evaluation": ({"episodes": LONG}, "step_00/source_policy/final.ckpt"),
+    "G": ({"schedule__pretrain__visual": LONG}, "step_00/visual/hparams.yaml"),
+    "effects": ({"effects__discover": "true", "schedule__images": 400}, "step_00/control.h5"),
+    "F": ({"schedule__finetune__dynamics": LONG}, "step_01/dynamics/hparams.yaml"),
+}
+
+
+def assert_says_how_to_go_on(folder, code, said, number):
+    lines = [line for line in said.splitlines() if "stopped by" in line]
+    assert code == CODES[number][0] and "Traceback" not in said and "Error" not in said, said
+    assert len(lines) == 1 and said.rstrip().endswith(lines[0]), said
+    assert f"stopped by {CODES[number][1]}; finished stages are kept in {folder}, go on with: " in lines[0]
+    assert lines[0].endswith(f"idapt fit --config {folder}/config.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", CODES, ids=lambda n: n.name)
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_run_can_be_stopped_in_every_stage(stage, number, tiny_args, tmp_path):
+    changes, sign = STAGES[stage]
+    folder = tmp_path / "run"
+    args = tiny_args(folder, render_processes=1, **changes)
+    code, said = stopped(["fit", *args], (folder / sign).exists, [number, number])
+    assert_says_how_to_go_on(folder, code, said, number)
+    assert not list(folder.rglob("*.tmp"))
+
+
+def test_sigterm_while_training_is_no_success(tiny_args, tmp_path):
+    folder = tmp_path / "run"
+    args = tiny_args(folder, schedule__pretrain__state_predictor=LONG)
+    begun = (folder / "step_00/state_predictor/hparams.yaml").exists
+    code, said = stopped(["fit", *args], begun, [signal.SIGTERM])
+    assert_says_how_to_go_on(folder, code, said, signal.SIGTERM)
+    assert not (folder / "step_00/state_predictor/final.ckpt").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", CODES, ids=lambda n: n.name)
+def test_visual_fit_says_how_to_go_on(number, tmp_path):
+    from test_visual import SMALL, squares
+
+    squares(tmp_path / "photos/trainA", 6, (255, 0, 0), 20)
+    squares(tmp_path / "photos/trainB", 5, (0, 0, 255), 120)
+    folder = tmp_path / "run"
+    options = SMALL | {"data.root": tmp_path / "photos", "run_dir": folder, "trainer.max_epochs": 100_000}
+    args = [f"--{k}={v}" for k, v in options.items()]
+    code, said = stopped(["visual", "fit", *args], (folder / "last.ckpt").exists, [number])
+    assert code == CODES[number][0] and "Traceback" not in said
+    assert said.splitlines()[-1].endswith(
+        f"finished epochs are kept in {folder}, go on with: idapt visual fit --config {folder}/config.yaml"
+    )
+    assert yaml.safe_load((folder / "config.yaml").read_text())["run_dir"] == str(folder)
+
+
+@pytest.mark.parametrize("number", CODES, ids=lambda n: n.name)
+def test_commands_that_do_not_go_on_say_so(number, monkeypatch, capsys):
+    monkeypatch.setattr("cli.report.main", lambda args: signal.raise_signal(number))
+    before = [signal.getsignal(n) for n in CODES]
+    try:
+        assert main(["report", "--run", "x"]) == CODES[number][0]
+        ignored = [signal.getsignal(n) for n in CODES]
+    finally:
+        for n, handler in zip(CODES, before, strict=True):
+            signal.signal(n, handler)
+    assert f"idapt report: stopped by {CODES[number][1]}; nothing was finished" in capsys.readouterr().err
+    assert ignored == [signal.SIG_IGN] * 2, "while the program leaves"
+
+
+def test_a_second_press_is_the_same_press_and_a_later_one_is_not():
+    before = signal.getsignal(signal.SIGINT)
+    raised = []
+    try:
+        with pytest.raises(Interrupted), interruptible():
+            for wait in (0, 0, ONE_PRESS + 0.1):
+                time.sleep(wait)
+                try:
+                    signal.raise_signal(signal.SIGINT)
+                    raised.append(False)
+                except Interrupted:
+                    raised.append(True)
+            raise Interrupted(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    assert raised == [True, False, True]
+
+
+def test_handlers_are_put_back_after_a_command(capsys):
+    before = [signal.getsignal(n) for n in CODES]
+    main(["evaluate", "--run", "none"])
+    assert [signal.getsignal(n) for n in CODES] == before
