@@ -19,7 +19,8 @@ from lightning.pytorch.loggers import CSVLogger
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import count_steps
 from idapt_pl.checkpoints import checkpoint_bytes, load_weights
-from idapt_pl.files import REDO, DamagedFile, blaming, read_json, sha256, verify, write_bytes, write_json
+from idapt_pl.files import blaming, read_json, sha256, verify, write_bytes, write_json
+from idapt_pl.run_folder.results import read_result
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -168,11 +169,7 @@ class Stages:
         Raises:
             DamagedFile: if it is damaged, or that of something else.
         """
-        path = self.folder(step) / f"{name}.json"
-        result = read_json(path, ("step", "stage", "wall_s"))
-        if (result["step"], result["stage"]) != (step, name):
-            raise DamagedFile(f"{path}: holds {result['stage']} of step {result['step']}. {REDO}")
-        return result
+        return read_result(self.folder(step) / f"{name}.json")
 
     def timings(self) -> list[dict]:
         """Step, stage and wall-clock seconds of everything done so far, in order of completion."""

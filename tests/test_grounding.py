@@ -475,6 +475,7 @@ def test_ablations_run(tiny_args, tmp_path):
     summary = json.loads((run / "summary.json").read_text())
     assert summary["oracle"] is not None and not (run / "step_01/dynamics").exists()
     assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
+    assert main(["ledger", "--run", str(run)]) == 0, "the oracle's interactions too are those of its files"
     paper = {
         "schedule__grounding_steps": 1,
         "policy__encoder": "learned",
