@@ -479,6 +479,7 @@ def test_ablations_run(tiny_args, tmp_path):
     paper = {
         "schedule__grounding_steps": 1,
         "policy__encoder": "learned",
+        "feeding__garat_start": "identity",
         "schedule__pretrain__estimator": 0,
         "schedule__finetune__estimator": 0,
     }
