@@ -29,13 +29,8 @@ def main(args: list[str]) -> int:
     o = p.parse_args(args)
     run = Run.open(o.run)
     ledger, feeding = run.worlds.ledger, run.config.feeding
-    lost = "is damaged" if ledger.damaged else "" if ledger.path.exists() else "is missing"
-    if lost or o.repair:
-        told = run.restore_ledger()
-        if lost and ledger.path.exists():
-            print(f"{ledger.path} {lost}: restored from the run's files", file=sys.stderr)
-        elif told:
-            print(f"{ledger.path}: repaired; it said", *told, sep="\n  ", file=sys.stderr)
+    if o.repair or ledger.damaged or not ledger.path.exists():
+        run.restore_ledger()
     held, unreadable = held_interactions(run.folder, feeding.num_envs, feeding.warmup_steps)
     entries = ledger.entries
     wrong = [*unreadable, *([] if unreadable else disagreements(entries, held))]

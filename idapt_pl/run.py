@@ -288,6 +288,7 @@ class Run:
             ValueError: if a file that holds target interactions cannot be read.
         """
         b, ledger, wrong = self.config.feeding, self.worlds.ledger, []
+        lost = "is damaged" if ledger.damaged else "" if ledger.path.exists() else "is missing"
 
         def real(entries: list[dict]) -> list[dict]:
             # within the lock: what another process has entered by now has its file too
@@ -298,8 +299,10 @@ class Run:
             return reconciled(entries, held)
 
         ledger.change(real, restore=True)
+        if lost and (wrong or ledger.path.exists()):
+            wrong = [f"it {lost}, and is made anew"]
         for told in wrong:
-            log.info("ledger.json corrected: %s", told)
+            log.info("%s corrected by the run's files: %s", ledger.path, told)
         return wrong
 
     @property

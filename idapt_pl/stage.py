@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import shutil
 import sys
 import time
@@ -20,8 +21,9 @@ from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import count_steps
 from idapt_pl.checkpoints import checkpoint_bytes, load_weights
 from idapt_pl.cores import FreeCores
-from idapt_pl.files import REDO, DamagedFile, blaming, read_json, sha256, verify, write_bytes, write_json
+from idapt_pl.files import blaming, read_json, sha256, verify, write_bytes, write_json
 from idapt_pl.health import Health, check_weights
+from idapt_pl.run_folder.results import read_result
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -178,11 +180,7 @@ class Stages:
         Raises:
             DamagedFile: if it is damaged, or that of something else.
         """
-        path = self.folder(step) / f"{name}.json"
-        result = read_json(path, ("step", "stage", "wall_s"))
-        if (result["step"], result["stage"]) != (step, name):
-            raise DamagedFile(f"{path}: holds {result['stage']} of step {result['step']}. {REDO}")
-        return result
+        return read_result(self.folder(step) / f"{name}.json")
 
     def timings(self) -> list[dict]:
         """Step, stage and wall-clock seconds of everything done so far, in order of completion."""
@@ -190,3 +188,12 @@ class Stages:
         entries = [read_json(p) for p in sorted(files, key=lambda p: p.stat().st_mtime)]
         told = ("step", "stage", "wall_s")
         return [{k: e[k] for k in told} for e in entries if set(told) <= set(e)]  # others may put files there too
+
+    def elapsed(self) -> float:
+        """Seconds in which at least one stage was at work, by when their files were written and how long they took."""
+        files = [*self.run_dir.glob("step_*/*/stage.json"), *self.run_dir.glob("step_*/*.json")]
+        spans = sorted((p.stat().st_mtime - s, p.stat().st_mtime) for p in files if (s := read_json(p).get("wall_s")))
+        seconds, until = 0.0, -math.inf
+        for begin, end in spans:
+            seconds, until = seconds + max(0.0, end - max(begin, until)), max(end, until)
+        return seconds

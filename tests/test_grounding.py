@@ -1,6 +1,7 @@
 """Algorithm 1 as a whole, tiny: what it leaves behind, its accounting, and exact resumption."""
 
 import json
+import os
 import shutil
 from types import SimpleNamespace
 
@@ -114,6 +115,16 @@ def test_recording_is_done_once_and_reports_the_files_own_count(stages, numbered
     for _ in range(2):
         path, steps = stages("a").record(2, "target", make)
     assert made == [stage_seed(0, 2, "target")] and steps == 7 and read_trajectories(path).total_steps == 7
+
+
+def test_time_is_counted_once_where_stages_run_side_by_side(stages):
+    made = stages("a")
+    for name, begin, end in (("one", 100, 110), ("beside", 102, 108), ("later", 109, 115), ("apart", 200, 201)):
+        made.measure(0, name, lambda seed: {})
+        path = made.folder(0) / f"{name}.json"
+        path.write_text(json.dumps({"step": 0, "stage": name, "wall_s": end - begin}))
+        os.utime(path, (end, end))
+    assert made.elapsed() == pytest.approx(16)
 
 
 # --- the whole loop -------------------------------------------------------------------------------------
@@ -525,9 +536,11 @@ def test_ablations_run(tiny_args, tmp_path):
     summary = json.loads((run / "summary.json").read_text())
     assert summary["oracle"] is not None and not (run / "step_01/dynamics").exists()
     assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
+    assert main(["ledger", "--run", str(run)]) == 0, "the oracle's interactions too are those of its files"
     paper = {
         "schedule__grounding_steps": 1,
         "policy__encoder": "learned",
+        "feeding__garat_start": "identity",
         "schedule__pretrain__estimator": 0,
         "schedule__finetune__estimator": 0,
     }

@@ -149,7 +149,7 @@ class Evaluation:
             "effects": [{"step": k} | e for k, result in found if result for e in result["effects"]],
             "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
             "target_interactions": self.worlds.ledger.training_total,
-            "wall_s": round(sum(s["wall_s"] for s in stages), 1),
+            "wall_s": round(self.stages.elapsed(), 1),
             "stages": stages,
         }
         write_json(self.stages.run_dir / "summary.json", summary)

@@ -36,7 +36,7 @@ def returns_figure(record: RunRecord, metric: str) -> Figure:
         for step, a, b in zip(record.evaluated, x, y, strict=True):
             name = "rolled back" if step.selection.get("rolled_back") else f"step {step.k}" if step.k else "G only"
             axis.annotate(name, (a, b), (9, 3), textcoords="offset points", ha="left", va="bottom", fontsize=9)
-        axis.set_xlim(0, 1.12 * max(x))
+        axis.set_xlim(0, 1.12 * max(*x, 1))
         low, high = axis.get_ylim()
         axis.set_ylim(low, high + 0.1 * (high - low))
         axis.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))

@@ -12,6 +12,7 @@ from idapt_pl.envs.ledger import Ledger
 from idapt_pl.files import read_json
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.run_folder.kept_config import read_kept_config
+from idapt_pl.run_folder.results import belongs
 
 ORDER = (
     "target",
@@ -141,8 +142,7 @@ class RunFiles:
         except ValueError:
             self._note_unreadable(path)
             return {}
-        of_this = entry.get("stage") in (None, path.stem, path.parent.name)
-        if not of_this or ("step" in entry and f"step_{entry['step']:02d}" not in path.parts):
+        if not belongs(path, entry):
             self._note_unreadable(path)
             return {}
         return entry

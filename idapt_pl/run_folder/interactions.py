@@ -11,6 +11,7 @@ from typing import Any
 
 from datamodules.trajectories import count_steps
 from idapt_pl.files import blaming, read_json, verify
+from idapt_pl.run_folder.results import read_result, step_of
 
 VIDEO = "policy_in_grounded_and_target"
 VIDEO_STEPS = 75
@@ -82,8 +83,9 @@ def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list
         except ValueError as error:
             unreadable.append(str(error))
 
-    for folder in sorted(run.glob("step_[0-9]*")):
-        step = int(folder.name.removeprefix("step_"))
+    for folder in sorted(run.glob("step_*")):
+        if (step := step_of(folder)) is None:
+            continue
         for name, (purpose, count) in counted_files(step, num_envs, warmup_steps).items():
             if (folder / name).exists():
                 collect(folder / name, partial(counted_entries, step, purpose, count))
@@ -120,12 +122,12 @@ def recorded_steps(path: Path) -> int:
 
 def measured_steps(path: Path) -> int:
     """Control steps that a measurement took."""
-    return read_json(path)["interactions"]
+    return read_result(path)["interactions"]
 
 
 def evaluated_steps(path: Path) -> int:
     """Control steps of the evaluation of a grounding step."""
-    return evaluation_interactions(path.parent, read_json(path))
+    return evaluation_interactions(path.parent, read_result(path))
 
 
 def later_entries(path: Path) -> list[dict]:

@@ -53,9 +53,11 @@ def read_kept_config(folder: Path) -> dict | None:
         raise DamagedFile(f"{error}. {cure}") from None
     if not isinstance(config, dict):
         raise DamagedFile(f"{path}: holds no config. {cure}")
-    if noted is not None and (different := changed_keys(filled(noted, config), config)):
+    noted = noted or {}
+    if different := lost_keys(noted, config) + changed_keys(filled(noted, config), config):
         raise DamagedFile(
-            f"{path}: is not the config that the run was started with ({', '.join(different)} differ). {cure}"
+            f"{path}: is not the config that the run was started with ({', '.join(dict.fromkeys(different))} differ). "
+            f"{cure}"
         )
     return config
 
@@ -75,6 +77,13 @@ def filled(config: dict, defaults: dict) -> dict:
         k: filled(config[k], v) for k, v in defaults.items() if isinstance(v, dict) and isinstance(config.get(k), dict)
     }
     return defaults | config | nested
+
+
+def lost_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
+    """Dotted keys that a config does not have any more, whatever they change."""
+    keys = [f"{prefix}{key}" for key in old if key not in new]
+    nested = [k for k, v in old.items() if isinstance(v, dict) and isinstance(new.get(k), dict)]
+    return keys + [lost for k in nested for lost in lost_keys(old[k], new[k], f"{prefix}{k}.")]
 
 
 def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:

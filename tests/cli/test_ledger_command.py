@@ -34,7 +34,8 @@ def test_as_json(run, capsys):
     assert (code, json.loads(printed.out)) == (0, {"run": str(run), **kept, "disagreements": []})
 
 
-def test_each_disagreement_is_a_line_until_it_is_repaired(run, capsys):
+def test_each_disagreement_is_a_line_until_it_is_repaired(run, capsys, caplog):
+    caplog.set_level("INFO")
     before = (run / "ledger.json").read_bytes()
     content = read_json(run / "ledger.json")
     content["entries"][0]["count"] += 1
@@ -46,18 +47,23 @@ def test_each_disagreement_is_a_line_until_it_is_repaired(run, capsys):
     code, printed = ledger(run, capsys, "--json")
     assert code == 1 and len(json.loads(printed.out)["disagreements"]) == 2
     code, printed = ledger(run, capsys, "--repair")
-    assert code == 0 and "repaired" in printed.err and (run / "ledger.json").read_bytes() == before
+    assert code == 0 and (run / "ledger.json").read_bytes() == before
+    assert sum("corrected by the run's files: step" in record for record in caplog.messages) == 2
     assert ledger(run, capsys)[0] == 0
 
 
 @pytest.mark.parametrize("content", [None, "", "{", '{"entries": [{"step": 0}]}'])
-def test_a_lost_or_damaged_ledger_comes_back_from_the_files(run, content, capsys):
+def test_a_lost_or_damaged_ledger_comes_back_from_the_files(run, content, capsys, caplog):
+    caplog.set_level("INFO")
     before = (run / "ledger.json").read_bytes()
     (run / "ledger.json").unlink()
     if content is not None:
         (run / "ledger.json").write_text(content)
     code, printed = ledger(run, capsys)
-    assert code == 0 and "restored" in printed.err and (run / "ledger.json").read_bytes() == before
+    assert code == 0 and printed.out and (run / "ledger.json").read_bytes() == before
+    assert [m.partition("corrected by ")[2] for m in caplog.messages] == [
+        f"the run's files: it is {'missing' if content is None else 'damaged'}, and is made anew"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,14 @@
 """Trajectory files: what is written is read; what is broken is named."""
 
 import os
+import subprocess
 
 import h5py
 import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories, TrajectoryFileError, read_trajectories, write_trajectories
+from datamodules.trajectories import count_steps
 
 
 def full_episode(T=4):
@@ -162,3 +164,33 @@ def test_an_episode_without_steps_is_refused():
 def test_adding_keeps_order(numbered):
     both = numbered([2]) + numbered([3], first=2)
     assert [len(e) for e in both] == [2, 3] and both.total_steps == 5
+
+
+def test_what_a_killed_process_left_of_the_same_file_is_removed(path, numbered):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    path.parent.mkdir()
+    for name in (path.name, "other.h5"):
+        (path.parent / f".{name}.{gone.pid}.tmp").write_text("half")
+    write_trajectories(path, numbered([2]))
+    assert sorted(os.listdir(path.parent)) == sorted([path.name, f".other.h5.{gone.pid}.tmp"])
+
+
+def test_actions_are_counted_and_an_attribute_that_disagrees_is_an_error(written):
+    with h5py.File(written, "a") as f:
+        f.attrs["total_steps"] = 5
+    assert count_steps(written) == 6
+    with pytest.raises(TrajectoryFileError, match=r"d\.h5: its episodes have 6 actions, but .*total_steps is 5"):
+        read_trajectories(written)
+
+
+def test_no_damage_to_a_file_is_a_traceback(written):
+    """Single bytes, all over it: HDF5 notices, or what was read is checked, or nothing shows."""
+    whole = written.read_bytes()
+    for start in range(0, len(whole), 97):
+        written.write_bytes(whole[:start] + bytes([whole[start] ^ 0xFF]) + whole[start + 1 :])
+        for read in (read_trajectories, count_steps):
+            try:
+                read(written)
+            except TrajectoryFileError as error:
+                assert str(error).startswith(f"{written}: ")

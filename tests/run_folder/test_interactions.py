@@ -15,12 +15,20 @@ from idapt_pl.run_folder.interactions import VIDEO, VIDEO_STEPS, disagreements, 
 STEPS = TINY["schedule.grounding_steps"]
 
 
+def told(stage, step=0):
+    """What every result says of itself."""
+    return {"step": step, "stage": stage, "wall_s": 1.0}
+
+
 @pytest.fixture
 def run(tmp_path, numbered):
     """A folder with one recording of 7 steps, one evaluation and one that was made later."""
     write_trajectories(tmp_path / "step_00/target.h5", numbered([4, 3], state=False))
-    write_json(tmp_path / "step_00/evaluation.json", {"target": {"interactions": 40}, "video_interactions": 5})
-    write_json(tmp_path / "step_00/direct_transfer.json", {"interactions": 30})
+    write_json(
+        tmp_path / "step_00/evaluation.json",
+        told("evaluation") | {"target": {"interactions": 40}, "video_interactions": 5},
+    )
+    write_json(tmp_path / "step_00/direct_transfer.json", told("direct_transfer") | {"interactions": 30})
     policies = {"oracle": {"target": {"interactions": 9}}}
     write_json(tmp_path / "evaluation_2_7.json", {"episodes": 2, "seed": 7, "policies": policies})
     return tmp_path
@@ -52,7 +60,7 @@ def test_actions_are_counted_whatever_the_attributes_say(run):
 
 
 def test_the_video_of_a_run_that_did_not_count_it_is_counted(run):
-    write_json(run / "step_00/evaluation.json", {"target": {"interactions": 40}})
+    write_json(run / "step_00/evaluation.json", told("evaluation") | {"target": {"interactions": 40}})
     assert held(run)[0, "evaluation"] == 40
     (run / f"step_00/{VIDEO}.gif").write_bytes(b"GIF89a")
     assert held(run)[0, "evaluation"] == 40 + VIDEO_STEPS
@@ -65,6 +73,13 @@ def test_the_oracles_images_warm_up_and_training_are_counted_as_they_are_done(ru
     write_json(run / "step_00/oracle/stage.json", {"batches": 100})
     (run / "step_00/oracle/final.ckpt").write_bytes(b"")
     assert held(run)[0, "oracle reference"] == 6 + 4 * 100 + 12, "10 steps of warm-up by 4 simulations are 12"
+
+
+@pytest.mark.parametrize("other", [told("evaluation", step=1), told("direct_transfer")])
+def test_the_result_of_another_step_or_stage_is_named(run, other):
+    write_json(run / "step_00/evaluation.json", other | {"target": {"interactions": 40}})
+    entries, unreadable = held_interactions(run, 4, 10)
+    assert len(entries) == 3 and f"{run / 'step_00/evaluation.json'}: holds {other['stage']} of step" in unreadable[0]
 
 
 def test_files_that_cannot_be_read_are_named(run):

@@ -36,6 +36,7 @@ def test_a_folder_without_either_holds_no_run(tmp_path):
         ({"seed": 4}, "seed"),
         ({"visual": {"width": 5, "blocks": 1}}, "visual.width"),
         ({"visual": {"width": 4}}, "visual.blocks"),
+        ({"trainer": {"devicez": 1}}, "trainer.devices"),
     ],
 )
 def test_a_config_that_is_not_that_of_the_run_is_refused_by_key(run, change, key):
@@ -45,7 +46,7 @@ def test_a_config_that_is_not_that_of_the_run_is_refused_by_key(run, change, key
 
 
 def test_where_the_folder_is_and_on_what_it_trains_may_differ_and_a_newer_version_may_know_more(run):
-    newer = CONFIG | {"run_dir": "elsewhere", "trainer": {}, "new": 1}
+    newer = CONFIG | {"run_dir": "elsewhere", "trainer": {"devices": 2}, "new": 1}
     write_yaml(run / "config.yaml", newer)
     assert read_kept_config(run) == newer
 

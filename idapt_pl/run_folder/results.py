@@ -1,0 +1,33 @@
+"""JSON results of grounding steps: ``RUN/step_<k>/<name>.json`` says of itself which step and stage it is of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from idapt_pl.files import REDO, DamagedFile, read_json
+
+
+def read_result(path: Path) -> dict:
+    """Read the result of a stage.
+
+    Raises:
+        DamagedFile: if it is missing or damaged, or the result of another stage or step.
+    """
+    result = read_json(path, ("step", "stage", "wall_s"))
+    if not belongs(path, result):
+        raise DamagedFile(f"{path}: holds {result['stage']} of step {result['step']}. {REDO}")
+    return result
+
+
+def belongs(path: Path, result: dict) -> bool:
+    """Whether a result, as far as it says what it is, is that which a file should hold."""
+    stage = path.parent.name if path.name == "stage.json" else path.stem
+    folder = path.parent.parent if path.name == "stage.json" else path.parent
+    told = result.get("step"), result.get("stage")
+    return told[0] in (None, step_of(folder)) and told[1] in (None, stage)
+
+
+def step_of(folder: Path) -> int | None:
+    """The grounding step whose folder this is; None if it is no step's."""
+    number = folder.name.removeprefix("step_")
+    return int(number) if number != folder.name and number.isdecimal() else None

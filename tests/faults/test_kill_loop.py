@@ -1,0 +1,110 @@
+"""Runs that are killed again and again end bitwise like one that is not: nothing lost, counted twice or left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import psutil
+import pytest
+import torch
+from conftest import ROOT, TINY
+
+KILLS = 25
+"""Of each run."""
+TEACHER = {"teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 16}
+RUNS = {
+    "pendulum_quick": TEACHER | {"effects.discover": "true", "effects.looks": "true", "schedule.images": 200},
+    "cheetah_quick": TEACHER | {"schedule.exploration": "rehearse", "schedule.grounding_steps": 1},
+}
+"""What each has beside TINY: together all stages."""
+UNCOMPARED = ("run.json", "config.yaml", "report.html", "events.out", "metrics.csv", "hparams.yaml", ".lock", ".gif")
+"""Files, or parts of their names, that tell of when and where, or are drawn from others."""
+TIMES = ("wall_s", "checksum")
+
+
+def start(config: str, run: Path, side_by_side: bool) -> subprocess.Popen:
+    values = TINY | RUNS[config] | {"run_dir": run, "side_by_side": str(side_by_side).lower(), "threads": 1}
+    command = [sys.executable, "-m", "cli", "fit", "--config", ROOT / f"configs/{config}.yaml"]
+    with (run.parent / f"{run.name}.log").open("a") as log:
+        return subprocess.Popen(
+            [*command, *(f"--{k}={v}" for k, v in values.items())], cwd=ROOT, stdout=log, stderr=log,
+            env=os.environ | {"OMP_NUM_THREADS": "1", "IDAPT_RENDERER": "classic"}, start_new_session=True,
+        )  # fmt: skip
+
+
+def without_times(value):
+    if isinstance(value, dict):
+        return {k: without_times(v) for k, v in value.items() if k not in TIMES}
+    return [without_times(v) for v in value] if isinstance(value, list) else value
+
+
+def content(path: Path):
+    """What a file holds, without how long it took."""
+    if path.suffix == ".ckpt":
+        return {k: v.numpy() for k, v in torch.load(path, weights_only=True)["state_dict"].items()}
+    if path.suffix == ".h5":
+        found = {}
+        with h5py.File(path) as f:
+            f.visititems(lambda name, item: found.update({name: item[()]} if isinstance(item, h5py.Dataset) else {}))
+        return found
+    if path.name == "ledger.json":
+        return {str(i): str(e) for i, e in enumerate(sorted(json.loads(path.read_text())["entries"], key=str))}
+    if path.suffix == ".json":
+        return without_times(json.loads(path.read_text()))
+    return path.read_bytes()
+
+
+def files(run: Path) -> list[Path]:
+    every = [p.relative_to(run) for p in run.rglob("*") if p.is_file()]
+    return sorted(p for p in every if not any(part in p.name for part in UNCOMPARED))
+
+
+def same(a, b) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    return bool(np.array_equal(a, b, equal_nan=True)) if isinstance(a, np.ndarray) and a.dtype.kind == "f" else (
+        bool(np.array_equal(a, b)) if isinstance(a, np.ndarray) else a == b
+    )  # fmt: skip
+
+
+def at_work_in(run: Path) -> list[psutil.Process]:
+    """Processes whose command names the run folder."""
+    found = []
+    for process in psutil.process_iter(["cmdline"]):
+        if any(str(run) in part for part in process.info["cmdline"] or []):
+            found.append(process)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side_by_side", [False, True])
+@pytest.mark.parametrize("config", RUNS)
+def test_a_run_killed_at_random_ends_like_one_that_was_not(config, side_by_side, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    began = time.monotonic()
+    assert start(config, whole, False).wait(600) == 0, (tmp_path / "whole.log").read_text()[-2000:]
+    length, rng, kills = time.monotonic() - began, np.random.default_rng(len(config) + side_by_side), 0
+    while True:
+        process = start(config, killed, side_by_side)
+        try:
+            # mostly soon after it has begun anew, so that it takes many kills to get through
+            code = process.wait(rng.uniform(0.1, 0.4) * length if kills < KILLS else 600)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            kills += 1
+            time.sleep(1.0)
+            assert at_work_in(killed) == [], "a process outlived the one that started it"
+            continue
+        assert code == 0, (tmp_path / "killed.log").read_text()[-3000:]
+        break
+    print(f"{config}, side by side {side_by_side}: {kills} kills, {length:.0f} s uninterrupted")
+    assert kills >= 5, "too few to say anything"
+    assert files(killed) == files(whole), "files that are missing, or left behind"
+    assert [p for p in files(whole) if not same(content(killed / p), content(whole / p))] == []
