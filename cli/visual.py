@@ -159,7 +159,8 @@ class VisualCLI(LightningCLI):
             kinds = {"fit": (TensorBoardLogger, CSVLogger), "predict": ()}.get(self.subcommand, (TensorBoardLogger,))
             kwargs["logger"] = [make(self.run_dir, name="", version="") for make in kinds]
         if self.subcommand == "fit":
-            keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
+            # Not save_last: without others to be the last of, it is written when training has ended.
+            keep = ModelCheckpoint(self.run_dir, filename="last", save_top_k=1, enable_version_counter=False)
             self.health = Health("visual fit", "model")
             seeds = SeedEpochs(int(self.options.seed_everything))
             kwargs["callbacks"] = [*(config.callbacks or []), seeds, self.health, keep]

@@ -1,4 +1,4 @@
-# ruff: noqa: E501 (inputs are read best one a line)
+
 """Runs commands in this process on inputs that are wrong, and says what they must not do."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-# ruff: noqa: E501 (inputs are read best one a line)
+
 """`idapt fit` refuses what cannot be right before it does anything."""
 
 import contextlib
