@@ -20,7 +20,7 @@ ONE_PRESS = 2.0
 """Seconds within which more signals mean the same as the first: people press twice, schedulers signal whole groups."""
 
 SWALLOWED = 10.0
-"""Seconds after which the exception is raised again: what Python calls in between, such as a destructor, may lose it."""
+"""Seconds after which the exception is raised again: a destructor that it was raised in, for example, loses it."""
 
 
 class Interrupted(BaseException):

@@ -156,7 +156,7 @@ class VisualTransformation(ManualModule):
             settings = dict(saved["hyper_parameters"])
             module = cls(**settings | {"vision": Vision(**settings["vision"])})
             module.load_state_dict(saved["state_dict"])
-        except (pickle.UnpicklingError, RuntimeError, KeyError, TypeError, EOFError) as error:
+        except (pickle.UnpicklingError, RuntimeError, LookupError, TypeError, EOFError, ValueError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path}: not a checkpoint of a visual transformation ({reason})") from None
         return module.eval()

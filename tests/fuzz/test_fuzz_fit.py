@@ -1,4 +1,3 @@
-
 """`idapt fit` refuses what cannot be right before it does anything."""
 
 import contextlib
