@@ -141,6 +141,8 @@ class VisualCLI(LightningCLI):
         if self.options.ckpt_path is None and last.exists():
             self.options.ckpt_path = str(last)
             log.info("going on from %s", last)
+        if self.options.ckpt_path is not None:
+            VisualTransformation.from_checkpoint(Path(self.options.ckpt_path))  # says what is wrong with it
         metrics = self.run_dir / "metrics.csv"
         if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
             metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")

@@ -101,7 +101,7 @@ def _command(channel: Channel, recorded: Recorded, rows: int, at: str) -> np.nda
     _check_length(recorded, column, length, rows, rows - 1)
     keep = slice(None) if length == rows - 1 else slice(None, -1) if at == "start" else slice(1, None)
     values = recorded.numbers(column, channel.key, keep)
-    return _converted(recorded, channel, values, np.finfo(np.float32).max)
+    return _converted(recorded, channel, values, float(np.finfo(np.float32).max))
 
 
 def _converted(recorded: Recorded, channel: Channel, values: np.ndarray, largest: float) -> np.ndarray:
