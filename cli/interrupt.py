@@ -19,6 +19,9 @@ SIGNALS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 ONE_PRESS = 2.0
 """Seconds within which more signals mean the same as the first: people press twice, schedulers signal whole groups."""
 
+SWALLOWED = 10.0
+"""Seconds after which the exception is raised again: a destructor that it was raised in, for example, loses it."""
+
 
 class Interrupted(BaseException):
     """A signal asked this program to end. It is no KeyboardInterrupt, at which Lightning would leave without a word.
@@ -51,15 +54,22 @@ def interruptible() -> Iterator[None]:
             os._exit(128 + number)
         if time.monotonic() - last > ONE_PRESS:
             last = time.monotonic()
+            signal.signal(signal.SIGALRM, lambda *_: raise_again(number))
+            signal.setitimer(signal.ITIMER_REAL, SWALLOWED, SWALLOWED)
             raise Interrupted(number)
 
+    def raise_again(number: int) -> None:
+        raise Interrupted(number)
+
     before: dict[signal.Signals, Any] = {number: signal.signal(number, interrupt) for number in SIGNALS}
+    before[signal.SIGALRM] = signal.getsignal(signal.SIGALRM)
     try:
         yield
     except Interrupted:
-        before = dict.fromkeys(SIGNALS, signal.SIG_IGN)
+        before = dict.fromkeys(before, signal.SIG_IGN)
         raise
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -26,7 +26,7 @@ COMMANDS = {
 }
 
 HARMLESS = (
-    "Experiment logs directory .* exists and is not empty",
+    "(Experiment logs|Checkpoint) directory .* exists and is not empty",
     "`isinstance\\(treespec",
     "Your `IterableDataset` has `__len__`",
     "Found \\d+ module\\(s\\) in eval mode",  # the frozen ones

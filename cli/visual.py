@@ -147,6 +147,8 @@ class VisualCLI(LightningCLI):
             read_checkpoint(last, "Delete it, and the same command begins anew.")  # the Trainer would not look
             self.options.ckpt_path = str(last)
             log.info("going on from %s", last)
+        if self.options.ckpt_path is not None:
+            VisualTransformation.from_checkpoint(Path(self.options.ckpt_path))  # says what is wrong with it
         metrics = self.run_dir / "metrics.csv"
         if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
             metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")
@@ -165,7 +167,8 @@ class VisualCLI(LightningCLI):
             kinds = {"fit": (TensorBoardLogger, CSVLogger), "predict": ()}.get(self.subcommand, (TensorBoardLogger,))
             kwargs["logger"] = [make(self.run_dir, name="", version="") for make in kinds]
         if self.subcommand == "fit":
-            keep = ModelCheckpoint(self.run_dir, save_last=True, save_top_k=0)
+            # Not save_last: without others to be the last of, it is written when training has ended.
+            keep = ModelCheckpoint(self.run_dir, filename="last", save_top_k=1, enable_version_counter=False)
             self.health = Health("visual fit", "model")
             seeds = SeedEpochs(int(self.options.seed_everything))
             kwargs["callbacks"] = [*(config.callbacks or []), seeds, self.health, keep]

@@ -117,7 +117,7 @@ class ImageDomains(L.LightningDataModule):
             ImageError: naming the place and what is wrong with it.
         """
         where = self.places[what]
-        if where is None:
+        if where is None or where == []:
             below = f" (or {ROOT[what]} in data.root{': ' + self.root if self.root else ''})" if what in ROOT else ""
             raise ImageError(f"data.{what}{below} is needed: a folder of images, a trajectory file, or a dataset")
         if isinstance(where, Dataset):

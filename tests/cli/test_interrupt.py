@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM: one line that says what is kept, a code that says it did not finish, no process left."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -125,6 +126,20 @@ def test_a_second_press_is_the_same_press_and_a_later_one_is_not():
         signal.signal(signal.SIGINT, before)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
     assert raised == [True, False, True]
+
+
+def test_what_was_swallowed_is_raised_again(monkeypatch):
+    monkeypatch.setattr("cli.interrupt.SWALLOWED", 0.2)
+    before = [signal.getsignal(n) for n in CODES]
+    try:
+        with pytest.raises(Interrupted) as raised, interruptible():
+            with contextlib.suppress(Interrupted):
+                signal.raise_signal(signal.SIGTERM)
+            time.sleep(5)
+    finally:
+        for n, handler in zip(CODES, before, strict=True):
+            signal.signal(n, handler)
+    assert raised.value.exit_code == 143 and signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
 def test_handlers_are_put_back_after_a_command(capsys):

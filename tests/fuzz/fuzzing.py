@@ -31,25 +31,24 @@ def attempt(args: list, folder: Path) -> tuple[int, str]:
     return code, said
 
 
-def assert_refused(args: list, folder: Path) -> str:
-    """A command that fails with a short message and leaves the folder as it was. Returns the message."""
-    before = tree(folder)
+def assert_refused(args: list, folder: Path, may_write: str | None = None) -> str:
+    """A command that fails with a short message and leaves the folder as it was (but for one). Returns the message."""
+    before = tree(folder, may_write)
     code, said = attempt(args, folder)
     assert code in (1, 2), f"accepted with exit code {code}: {said}"
     told = said[said.rindex("idapt ") :] if said.startswith("usage:") else said
     lines = [line for line in told.splitlines() if line.strip()]
     assert 0 < len(lines) <= LINES, said
-    assert tree(folder) == before, f"wrote {sorted(set(tree(folder).items()) ^ set(before.items()))}"
+    after = tree(folder, may_write)
+    assert after == before, f"wrote {sorted(after.keys() ^ before.keys())}"
     return said
 
 
-def tree(folder: Path) -> dict[str, bytes | None]:
-    """Everything in a folder: the content of files, None for folders."""
-    return {
-        os.path.relpath(p, folder): p.read_bytes() if p.is_file() else None
-        for p in sorted(folder.rglob("*"))
-        if p.name not in (".lock", "MUJOCO_LOG.TXT")  # MuJoCo keeps a log of its own
-    }
+def tree(folder: Path, but: str | None = None) -> dict[str, bytes | None]:
+    """Everything in a folder, but for one: the content of files, None for folders."""
+    ignored = {".lock", "MUJOCO_LOG.TXT"}  # the second is MuJoCo's own, in the folder that a program runs in
+    paths = [p for p in sorted(folder.rglob("*")) if p.name not in ignored and p.relative_to(folder).parts[0] != but]
+    return {os.path.relpath(p, folder): p.read_bytes() if p.is_file() else None for p in paths}
 
 
 def damaged(content: bytes, seed: int) -> bytes:
