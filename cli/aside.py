@@ -21,7 +21,7 @@ from idapt_pl.cores import usable_threads
 from idapt_pl.stages.aside import in_turn
 
 log = logging.getLogger(__name__)
-Result = TypeVar("Result")
+Outcome = TypeVar("Outcome")
 
 
 class OtherProcesses:
@@ -36,7 +36,7 @@ class OtherProcesses:
         self.folder, self.most = folder, most
         self.running: list[subprocess.Popen] = []
 
-    def __call__(self, name: str, last: Path, work: Callable[[], Result]) -> Callable[[], Result]:
+    def __call__(self, name: str, last: Path, work: Callable[[], Outcome]) -> Callable[[], Outcome]:
         """Start the work; see :class:`~idapt_pl.stages.aside.Aside`."""
         self.running = [p for p in self.running if p.poll() is None]
         if last.exists() or len(self.running) >= self.most:
@@ -52,7 +52,7 @@ class OtherProcesses:
         )
         self.running.append(process)
 
-        def result() -> Result:
+        def result() -> Outcome:
             assert process.stdout is not None  # a pipe
             told = process.stdout.read()
             if process.wait() != 0:
@@ -84,7 +84,7 @@ class WorkIsDone(Exception):
 def only(wanted: str) -> Callable:
     """Does the wanted work and ends there; other work is loaded where its result is asked for."""
 
-    def aside(name: str, last: Path, work: Callable[[], Result]) -> Callable[[], Result]:
+    def aside(name: str, last: Path, work: Callable[[], Outcome]) -> Callable[[], Outcome]:
         if name != wanted:
             return work
         work()

@@ -71,6 +71,9 @@ def main(argv: list[str] | None = None) -> int:
     except Interrupted as interrupted:
         print(f"idapt {name}: {interrupted}", file=sys.stderr)
         return interrupted.exit_code
+    except KeyboardInterrupt:  # where signals are not ours to handle
+        print(f"idapt {name}: interrupted", file=sys.stderr)
+        return 130
 
 
 def run_command(name: str, args: list[str], debug: bool) -> int:

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import lightning as L
 import psutil
 import torch
 
-Result = TypeVar("Result")
+Value = TypeVar("Value")
 EVERY = 2.0
 """Seconds between looks."""
 FIRST_LOOK = 0.1
@@ -92,15 +92,15 @@ class FreeCores(L.Callback):
             time.sleep(FIRST_LOOK)
         torch.set_num_threads(self._usable())
 
-    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+    def on_train_start(self, trainer: Any, pl_module: L.LightningModule) -> None:
         self.look()
         self.share(pl_module, torch.get_num_threads())
 
-    def on_train_batch_end(self, trainer: L.Trainer, pl_module: L.LightningModule, *args: object) -> None:
+    def on_train_batch_end(self, trainer: Any, pl_module: L.LightningModule, *args: object) -> None:
         if self.threads is None and time.monotonic() - self._looked > EVERY:
             self.share(pl_module, self._usable())
 
-    def on_train_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+    def on_train_end(self, trainer: Any, pl_module: L.LightningModule) -> None:
         torch.set_num_threads(self._usable())
 
     def share(self, module: L.LightningModule, threads: int) -> None:
@@ -120,12 +120,12 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "second way")
 
 
-def at_once(first: Callable[[], Result], second: Callable[[], Result]) -> tuple[Result, Result]:
+def at_once(first: Callable[[], Value], second: Callable[[], Value]) -> tuple[Value, Value]:
     """Compute two things in two threads, each with the threads of torch that this one has; precision as here."""
     threads, mixed = torch.get_num_threads(), torch.is_autocast_enabled("cpu")
     precision = torch.get_autocast_dtype("cpu")
 
-    def elsewhere() -> Result:
+    def elsewhere() -> Value:
         if torch.get_num_threads() != threads:
             torch.set_num_threads(threads)
         with torch.autocast("cpu", precision, mixed, cache_enabled=False):

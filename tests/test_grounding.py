@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 from types import SimpleNamespace
 
 import h5py
@@ -16,6 +17,7 @@ from conftest import TINY
 from torch import nn
 from torch.utils.data import DataLoader
 
+from cli.interrupt import Interrupted
 from cli.main import main
 from datamodules import read_trajectories
 from idapt_pl.effects import effect_from_dict
@@ -470,7 +472,7 @@ def kill_after_one(monkeypatch):
             was_done = any(p.exists() for p in done)
             result = original(self, step, stage, *args, **kwargs)
             if not was_done:
-                raise KeyboardInterrupt
+                raise Interrupted(signal.SIGINT)
             return result
 
         return wrapped

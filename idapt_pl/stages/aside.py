@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-Result = TypeVar("Result")
+Outcome = TypeVar("Outcome")
 
 
 class Aside(Protocol):
     """Starts a piece of work that its result is asked for later."""
 
-    def __call__(self, name: str, last: Path, work: Callable[[], Result]) -> Callable[[], Result]:
+    def __call__(self, name: str, last: Path, work: Callable[[], Outcome]) -> Callable[[], Outcome]:
         """Start it. What is returned waits for it and gives its result.
 
         Args:
@@ -22,7 +22,7 @@ class Aside(Protocol):
         """
 
 
-def in_turn(name: str, last: Path, work: Callable[[], Result]) -> Callable[[], Result]:
+def in_turn(name: str, last: Path, work: Callable[[], Outcome]) -> Callable[[], Outcome]:
     """Do it now, here."""
     result = work()
     return lambda: result

@@ -52,7 +52,7 @@ CANNOT_BE = [
     "dynamics.hidden=[many]", "dynamics.hidden=3", "dynamics.hidden=[1000000000]", "dynamics.smoothing=2",
     "dynamics.epochs=0", "dynamics.clip=0", "dynamics.gamma=1.5", "policy.hidden=[]]", "policy.gamma=1.01",
     "policy.tau=0", "policy.tau=2", "policy.temperature=0", "policy.encoder=magic", "policy.encoder=learned",
-    "policy.target_entropy=.nan", "policy.lr=0", "policy.actor_every=0", "policy.action_low=[1]", "policy.state_dim=3",
+    "policy.target_entropy=.nan", "policy.lr=-1", "policy.actor_every=0", "policy.action_low=[1]", "policy.state_dim=3",
     "teacher.steps=100", "teacher.dagger=100", "teacher.fading=0", "teacher.fading=2", "teacher=[]",
     "effects.candidates=[nothing]", "effects.candidates=body_mass", "effects.max_effects=0", "effects.discover=perhaps",
     "task=pendulum", "task=", "task=null", "task=[1]", "target=harder", "target=../..", "target=null", "episodes=0",
