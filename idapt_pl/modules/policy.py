@@ -157,11 +157,14 @@ class AsymmetricSAC(SAC):
 
     def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
         """The source's rewards less what actions and unfamiliar states cost, (n,)."""
-        effort = self.actor.normalise(batch["actions"]).square().mean(-1)
-        off = batch["next_state"] - self.familiar_mean
-        unfamiliarity = 1 - torch.exp(-0.5 * torch.einsum("ni,ij,nj->n", off, self.familiar_precision, off))
-        w = self.hparams
-        return batch["rewards"] - w.action_cost * effort - w.unfamiliarity_cost * unfamiliarity
+        rewards, w = batch["rewards"], self.hparams
+        if w.action_cost:
+            rewards = rewards - w.action_cost * self.actor.normalise(batch["actions"]).square().mean(-1)
+        if w.unfamiliarity_cost:
+            off = batch["next_state"] - self.familiar_mean
+            distance = torch.einsum("ni,ij,nj->n", off, self.familiar_precision, off)
+            rewards = rewards - w.unfamiliarity_cost * (1 - torch.exp(-0.5 * distance))
+        return rewards
 
     @property
     def supervised(self) -> bool:
