@@ -57,7 +57,11 @@ class OtherProcesses:
             told = process.stdout.read()
             if process.wait() != 0:
                 raise RuntimeError(why(told, process.returncode, name))
-            return work()  # which finds it done
+            logging.disable(logging.INFO)  # it has said everything
+            try:
+                return work()  # which finds it done
+            finally:
+                logging.disable(logging.NOTSET)
 
         return result
 
@@ -87,6 +91,7 @@ def only(wanted: str) -> Callable:
     def aside(name: str, last: Path, work: Callable[[], Outcome]) -> Callable[[], Outcome]:
         if name != wanted:
             return work
+        logging.disable(logging.NOTSET)
         work()
         raise WorkIsDone
 
@@ -133,4 +138,5 @@ if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
     for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+    logging.disable(logging.INFO)  # of what is done before, on the way to the work
     sys.exit(main(sys.argv[1:]))

@@ -23,7 +23,7 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     repaired = any(e["step"] == 0 for e in summary["effects"])
     table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", f"{summary['visual_only']:.1f}")
     for k, value in enumerate(summary["grounded"], 1):
-        same = " (settled: the policy before)" if k == summary["settled"] else ""
+        same = " (settled)" if k == summary["settled"] else ""
         table.add_row(f"IDAPT, grounding step {k}{same}", f"{value:.1f}")
     table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
     console = Console()
@@ -34,6 +34,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     for e in summary["effects"]:
         values = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in e["parameters"].items())
         console.print(f"added to the source in step {e['step']}: {e['effect']} of {e['target']}, {values}")
+    if summary["settled"]:
+        console.print(f"settled: step {summary['settled']} showed nothing left to learn, the policy before it stays")
     if summary["rolled_back"]:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
     console.print(f"the story of the run: {report}", soft_wrap=True)
