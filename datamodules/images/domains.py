@@ -87,6 +87,7 @@ class ImageDomains(L.LightningDataModule):
         self.frame_stack, self.batch_size, self.workers = frame_stack, batch_size, workers
         self.reading = Reading(size, fit, on_bad, cache, sys.stderr.isatty())
         self.images: dict[str, Images] = {}
+        self.begun: int | None = None
         self.order, self.order_seed = torch.Generator(), torch.initial_seed() % 2**31 * 1_000_003
         for what, chosen in (("data.size", size), ("data.augment.crop", augment.crop)):
             if chosen and any(side < STRIDE or side % STRIDE for side in chosen):
@@ -213,9 +214,12 @@ class ImageDomains(L.LightningDataModule):
 
     def begin_epoch(self, epoch: int) -> None:
         """Let the order of the training images be that of an epoch, whether it follows another or is gone on from."""
-        self.order.manual_seed(self.order_seed + epoch)
+        if epoch != self.begun:  # an epoch that is gone on from has begun with its loaders
+            self.order.manual_seed(self.order_seed + epoch)
+            self.begun = epoch
 
     def train_dataloader(self) -> CombinedLoader:
+        self.begun = None
         self.begin_epoch(0 if self.trainer is None else self.trainer.current_epoch)
         return CombinedLoader({d: self.loader(d, train=True) for d in ("source", "target")}, "max_size_cycle")
 
