@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import lightning as L
+import torch
 from lightning.pytorch.utilities import CombinedLoader
 from torch.utils.data import DataLoader, Dataset
 
@@ -86,6 +87,8 @@ class ImageDomains(L.LightningDataModule):
         self.frame_stack, self.batch_size, self.workers = frame_stack, batch_size, workers
         self.reading = Reading(size, fit, on_bad, cache, sys.stderr.isatty())
         self.images: dict[str, Images] = {}
+        self.begun: int | None = None
+        self.order, self.order_seed = torch.Generator(), torch.initial_seed() % 2**31 * 1_000_003
         for what, chosen in (("data.size", size), ("data.augment.crop", augment.crop)):
             if chosen and any(side < STRIDE or side % STRIDE for side in chosen):
                 raise ImageError(f"{what}: height and width must be multiples of {STRIDE}, got {list(chosen)}")
@@ -203,12 +206,21 @@ class ImageDomains(L.LightningDataModule):
             shuffle=train,
             drop_last=train,
             collate_fn=whole_batch,
+            generator=self.order if train else None,
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             pin_memory=self.trainer is not None and self.trainer.strategy.root_device.type == "cuda",
         )
 
+    def begin_epoch(self, epoch: int) -> None:
+        """Let the order of the training images be that of an epoch, whether it follows another or is gone on from."""
+        if epoch != self.begun:  # an epoch that is gone on from has begun with its loaders
+            self.order.manual_seed(self.order_seed + epoch)
+            self.begun = epoch
+
     def train_dataloader(self) -> CombinedLoader:
+        self.begun = None
+        self.begin_epoch(0 if self.trainer is None else self.trainer.current_epoch)
         return CombinedLoader({d: self.loader(d, train=True) for d in ("source", "target")}, "max_size_cycle")
 
     def val_dataloader(self) -> CombinedLoader | list:
