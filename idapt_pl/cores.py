@@ -28,7 +28,7 @@ FIRST_LOOK = 0.1
 class CoreUse:
     """How many cores others have used since the last look: all that is neither this process nor one of its helpers.
 
-    Helpers are children in this process's own group, such as those that render: they work while it waits.
+    Helpers are children in this process's own session, such as those that render: they work while it waits.
     """
 
     def __init__(self) -> None:
@@ -49,10 +49,10 @@ class CoreUse:
         return time.perf_counter(), busy, self._own()
 
     def _own(self) -> float:
-        family, group = [self._process], getattr(os, "getpgid", lambda pid: 0)
+        family, session = [self._process], getattr(os, "getsid", lambda pid: 0)
         seconds = 0.0
         with suppress(psutil.Error, OSError):
-            family += [p for p in self._process.children() if group(p.pid) == group(0)]
+            family += [p for p in self._process.children() if session(p.pid) == session(0)]
         for p in family:
             with suppress(psutil.Error):  # it has just ended
                 seconds += sum(p.cpu_times()[:2])
