@@ -12,6 +12,7 @@ import torch
 from lightning.pytorch.utilities import CombinedLoader
 from torch.utils.data import DataLoader, Dataset
 
+from datamodules.epoch_order import EpochOrder
 from datamodules.images.augmentation import Augmentation
 from datamodules.images.files import ImageError
 from datamodules.images.fitting import STRIDE, Fit
@@ -87,8 +88,7 @@ class ImageDomains(L.LightningDataModule):
         self.frame_stack, self.batch_size, self.workers = frame_stack, batch_size, workers
         self.reading = Reading(size, fit, on_bad, cache, sys.stderr.isatty())
         self.images: dict[str, Images] = {}
-        self.begun: int | None = None
-        self.order, self.order_seed = torch.Generator(), torch.initial_seed() % 2**31 * 1_000_003
+        self.seed = torch.initial_seed()
         for what, chosen in (("data.size", size), ("data.augment.crop", augment.crop)):
             if chosen and any(side < STRIDE or side % STRIDE for side in chosen):
                 raise ImageError(f"{what}: height and width must be multiples of {STRIDE}, got {list(chosen)}")
@@ -200,27 +200,20 @@ class ImageDomains(L.LightningDataModule):
 
     def loader(self, what: str, train: bool) -> DataLoader:
         """Batches of a place: shuffled and whole in training, else in order."""
+        images, epoch = self.load(what), 0 if self.trainer is None else self.trainer.current_epoch
         return DataLoader(
-            self.load(what),
+            images,
             batch_size=self.batch_size,
-            shuffle=train,
+            sampler=EpochOrder(len(images), self.seed + (what == "target"), epoch) if train else None,
             drop_last=train,
             collate_fn=whole_batch,
-            generator=self.order if train else None,
+            generator=torch.Generator().manual_seed(self.seed + epoch),  # else it draws from everybody's numbers
             num_workers=self.workers,
             persistent_workers=self.workers > 0,
             pin_memory=self.trainer is not None and self.trainer.strategy.root_device.type == "cuda",
         )
 
-    def begin_epoch(self, epoch: int) -> None:
-        """Let the order of the training images be that of an epoch, whether it follows another or is gone on from."""
-        if epoch != self.begun:  # an epoch that is gone on from has begun with its loaders
-            self.order.manual_seed(self.order_seed + epoch)
-            self.begun = epoch
-
     def train_dataloader(self) -> CombinedLoader:
-        self.begun = None
-        self.begin_epoch(0 if self.trainer is None else self.trainer.current_epoch)
         return CombinedLoader({d: self.loader(d, train=True) for d in ("source", "target")}, "max_size_cycle")
 
     def val_dataloader(self) -> CombinedLoader | list:

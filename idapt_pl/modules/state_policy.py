@@ -85,7 +85,9 @@ class StateSAC(SAC):
 
     def update(self, batch: dict[str, dict[str, Tensor]]) -> dict[str, Tensor]:
         """As of SAC, on standardised states: all minibatches of a step at once."""
-        transitions = batch["transitions"]
+        return super().update({**batch, "transitions": self.standardised(batch["transitions"])})
+
+    def standardised(self, transitions: dict[str, Tensor]) -> dict[str, Tensor]:
+        """What actor and critics see of transitions."""
         now, after = (self.actor.encoder(transitions[name]) for name in ("state", "next_state"))
-        seen = {"state": now, "observation": now, "next_state": after, "next_observation": after}
-        return super().update({**batch, "transitions": transitions | seen})
+        return transitions | {"state": now, "observation": now, "next_state": after, "next_observation": after}

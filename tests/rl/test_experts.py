@@ -53,8 +53,9 @@ def test_states_are_standardised_for_actor_and_critics_alike():
     policy = StateSAC(2, [-1.0], [1.0], hidden=(8,))
     policy.actor.encoder.fit(torch.tensor([[1.0, 5.0], [3.0, 5.0]]))
     batch = {"state": torch.tensor([[2.0, 6.0]]), "next_state": torch.tensor([[1e9, 5.0]])}
-    seen = policy._standardised(batch)
-    assert seen["state"].tolist() == [[0.0, 1.0]] and seen["next_state"].tolist() == [[10.0, 0.0]]
+    seen = policy.standardised(batch)
+    assert seen["state"].tolist() == seen["observation"].tolist() == [[0.0, 1.0]]
+    assert seen["next_state"].tolist() == seen["next_observation"].tolist() == [[10.0, 0.0]]
 
 
 @pytest.mark.slow
