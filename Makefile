@@ -17,7 +17,7 @@ help: ## list the targets
 
 setup: .venv/.installed gl ## make .venv with everything in it, and check that it can render
 
-demo: setup ## ground the pendulum's source in its hard target, on two CPU cores in less than half an hour
+demo: setup ## ground the pendulum's source in its hard target, on two CPU cores in minutes
 	$(BIN)/idapt fit --config configs/pendulum_quick.yaml $(ARGS)
 
 test: setup ## the tests, all but the slow ones

@@ -106,7 +106,7 @@ class TypicalSizes:
         return self.inertia * self.speed / self.horizon
 
 
-SCALED_STARTS = (0.1, 10**-0.5, 10**0.5, 10.0)
+SCALED_STARTS = tuple(10.0 ** (k / 2) for k in (-3, -2, -1, 1, 2, 3))
 """Where fits of a value that cannot be below zero start too, in nominal values: as far down as up, whatever it is."""
 
 
