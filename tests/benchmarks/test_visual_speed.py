@@ -38,6 +38,7 @@ def test_the_yardsticks_own_operations_are_counted_right(visual_speed):
         assert visual_speed.counted_flops(kernel) == flops
 
 
+@pytest.mark.slow  # it times, which other work on the machine disturbs
 @pytest.mark.parametrize("shape", [(256, 27, 3, 1), (64, 100, 7, 1), (192, 48, 3, 2), (512, 12, 4, 8)])
 def test_no_convolution_reaches_more_than_the_machine(visual_speed, shape):
     """Those of a generator's and a discriminator's sizes among them; the first takes most of a step's time."""
