@@ -106,7 +106,7 @@ class IterativeGrounding:
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S)
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
-        pi = fit_grounded_policy(c, 0, lengths.policy, G, None, pi)
+        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, D_S)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
@@ -120,7 +120,7 @@ class IterativeGrounding:
         F_before = None if repaired else g.F  # else it was F of another source
         F = self.ground_actions(k, D_T, G, pi, F_before)
         F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
-        pi_before, pi = pi, fit_grounded_policy(c, k, lengths.policy, G, F, pi)
+        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, self.recent(D_S))
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:
@@ -131,7 +131,8 @@ class IterativeGrounding:
         """The policy of the plain source, and what it is worth in the target as it is (direct transfer)."""
 
         def work() -> AsymmetricSAC:
-            pi = fit_source_policy(self.context, self.schedule.source_policy, P_S, D_S)
+            s = self.schedule
+            pi = fit_source_policy(self.context, s.source_policy, s.pretrain, P_S, D_S)
             self.evaluation.direct_transfer(pi)
             return pi
 

@@ -45,6 +45,7 @@ SETTINGS_OF = {
     "ActionTransformation": "dynamics",
     "AsymmetricSAC": "policy",
     "Imitation": "policy",
+    "FilterTraining": "filter",
 }
 """The config's key for what each module is made with; others have no learning rate that a config sets."""
 

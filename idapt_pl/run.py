@@ -32,7 +32,7 @@ from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
 from idapt_pl.stages.schedule import Schedule
-from idapt_pl.stages.settings import BatchSettings, ModuleFactories
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
 
@@ -55,6 +55,7 @@ SETTINGS: dict[str, type] = {
     "effects": DiscoverySettings,
     "feeding": BatchSettings,
     "teacher": TeacherSettings,
+    "filter": FilterSettings,
     "vision": Vision,
 }
 """Everything else that a config sets, by its key."""
@@ -81,6 +82,7 @@ class RunConfig:
         effects: whether effects are sought that the source lacks.
         feeding: sizes of batches and rollouts.
         teacher: a privileged teacher, if there is one.
+        filter: how the policy's filter learns, if it has one.
         vision: how images are looked at.
         modules: constructor arguments of each of :data:`MODULES`.
     """
@@ -101,6 +103,7 @@ class RunConfig:
     effects: DiscoverySettings
     feeding: BatchSettings
     teacher: TeacherSettings
+    filter: FilterSettings
     vision: Vision
     modules: dict[str, dict[str, Any]]
 
@@ -215,6 +218,18 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
+        memory, rehearse = self.modules["policy"]["memory"], self.teacher.rehearse
+        if bool(memory) != bool(rehearse):
+            raise ValueError(
+                f"policy.memory is {memory}, but teacher.rehearse is {rehearse}: a filter learns in rehearsals, and "
+                "they are for a filter. Give both, or neither."
+            )
+        trained = [k for k in ("pretrain", "finetune") if getattr(self.schedule, k).policy]
+        if memory and (trained or self.schedule.source_policy):
+            raise ValueError(
+                "with policy.memory the policy is the teacher on estimates and SAC does not go on: set "
+                "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy to 0."
+            )
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
@@ -264,7 +279,7 @@ class Run:
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
-        context = StageContext(worlds, stages, module_factories(config), b, teacher)
+        context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter)
         check_modules(context)
         return cls(config, context, aside)
 

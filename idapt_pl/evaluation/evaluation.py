@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
 from idapt_pl.files import blaming, write_json
@@ -19,6 +20,8 @@ from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
+MUCH_LOST = 0.05
+"""Share of steps in the target; a policy that loses the state more often is warned of."""
 
 
 class Evaluation:
@@ -35,10 +38,12 @@ class Evaluation:
         self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
 
     def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
-        """Return (or success) of a policy in the target, acting with its mean."""
-        env = self.worlds.rewarded_target(min(self.episodes, 25))
+        """Return (or success) of a policy in the target, acting with its mean, and how wrong it is about the state."""
+        env, act = self.worlds.rewarded_target(min(self.episodes, 25)), deterministic(policy)
+        errors = EstimateErrors(act)
         with closing(env):
-            return evaluate(env, deterministic(policy), self.episodes, seed).to_dict()
+            result = evaluate(env, act, self.episodes, seed, errors).to_dict()
+        return result | {"state_errors": errors.to_dict()}
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
@@ -63,10 +68,12 @@ class Evaluation:
 
         def make(seed: int) -> dict:
             with closing(self.worlds.grounded(5, G, F)) as env:
-                grounded = evaluate(env, deterministic(policy), 5, seed)
+                act = deterministic(policy)
+                errors = EstimateErrors(act)
+                grounded = evaluate(env, act, 5, seed, errors)
             result = {
                 "target": self.target_return(policy, seed),
-                "grounded": {"mean": grounded.mean, "std": grounded.std},
+                "grounded": {"mean": grounded.mean, "std": grounded.std, "state_errors": errors.to_dict()},
                 "translation": paired_errors(self.worlds, policy, G, P_S, 200, seed),
             }
             if F is not None and policy_before is not None:
@@ -78,6 +85,14 @@ class Evaluation:
         result = self.stages.measure(step, "evaluation", make)
         folder = self.stages.folder(step)
         with blaming(folder / "evaluation.json"):
+            lost = result["target"].get("state_errors", {}).get("lost", 0)
+            if lost > MUCH_LOST:
+                log.warning(
+                    "step %d  the policy loses the state in %.0f %% of its steps in the target: what it reads there is "
+                    "unlike anything in the grounded source. Look at G's pictures in the report",
+                    step,
+                    100 * lost,
+                )
             log.info(
                 "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
                 step,
@@ -105,6 +120,9 @@ class Evaluation:
             "returns/grounded": result["grounded"]["mean"],
             "translation/psnr": result["translation"]["psnr"],
         }
+        errors = result["target"]["state_errors"]
+        if "lost" in errors:
+            scalars["state/lost"] = errors["lost"]
         scalars |= {f"residual/{k}": v for k, v in result.get("residual", {}).items()}
         log_scalars(folder, scalars, step)
         videos = []

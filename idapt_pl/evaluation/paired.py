@@ -7,6 +7,7 @@ import torch
 
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.rl.policy import Acting
 from idapt_pl.worlds import Worlds
 
 
@@ -53,15 +54,17 @@ def paired_stacks(
     data = source.data[0]
     sources, targets, states = [], [], []
     history: list[np.ndarray] = []
-    fresh = True
+    fresh, act = True, Acting(policy)
     for _ in range(steps):
         frame = twin.show(0, data)
         history = [frame] * worlds.frame_stack if fresh else [*history[1:], frame]
         sources.append(obs["source_pixels"][0])
         targets.append(np.stack(history))
         states.append(obs["state"][0])
-        obs, _, terminations, truncations, _ = env.step(policy.act(obs["pixels"]))
-        fresh = bool(terminations[0] or truncations[0])
+        obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
+        ended = terminations | truncations
+        act.tick(ended)
+        fresh = bool(ended[0])
     env.close()
     twin.close()
     return np.stack(sources), np.stack(targets), np.stack(states)

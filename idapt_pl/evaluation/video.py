@@ -12,7 +12,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 
 from idapt_pl.files import write_atomically
-from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.policy import Policy, tick
 
 
 def record_video(env: VectorEnv, act: Policy, steps: int, seed: int) -> np.ndarray:
@@ -21,7 +21,8 @@ def record_video(env: VectorEnv, act: Policy, steps: int, seed: int) -> np.ndarr
     frames = []
     for _ in range(steps):
         frames.append(obs["pixels"][0, -1])
-        obs, *_ = env.step(act(obs["pixels"]))
+        obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
+        tick(act, terminations | truncations)
     return np.stack(frames)
 
 

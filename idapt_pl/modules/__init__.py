@@ -1,6 +1,7 @@
 """The LightningModules: one for each thing that is learned."""
 
 from idapt_pl.modules.dynamics import ActionTransformation
+from idapt_pl.modules.filter_training import FilterTraining
 from idapt_pl.modules.imitation import Imitation
 from idapt_pl.modules.policy import AsymmetricSAC
 from idapt_pl.modules.sac import SAC
@@ -12,6 +13,7 @@ __all__ = [
     "SAC",
     "ActionTransformation",
     "AsymmetricSAC",
+    "FilterTraining",
     "Imitation",
     "StatePredictor",
     "StateSAC",

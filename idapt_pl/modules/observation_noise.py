@@ -49,3 +49,29 @@ class ObservationNoise(NoObservationNoise):
     def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What :meth:`AsymmetricSAC.remember` returned, with the noise."""
         return {**seen, "observation": seen["observation"] * self.gain + self.offset}
+
+
+class SlowNoise(NoObservationNoise):
+    """Noise on states that changes slowly, as errors of estimates do: an autoregressive process for each component.
+
+    Args:
+        scale: of each component, (s,), in its units.
+        num_envs: n.
+        spread: standard deviation, in units of ``scale``.
+        seed: of the draws.
+        memory: correlation of what follows each other.
+    """
+
+    def __init__(self, scale: np.ndarray, num_envs: int, spread: float, seed: int, memory: float = 0.8) -> None:
+        self._rng, self.memory, self._spread = np.random.default_rng(seed), memory, spread * scale
+        self._now = self._rng.normal(size=(num_envs, len(scale)))
+
+    def renew(self, episodes: np.ndarray) -> None:
+        """Draw anew for some simulations, bool (n,)."""
+        self._now[episodes] = self._rng.normal(size=(int(episodes.sum()), self._now.shape[1]))
+
+    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """States with noise, as ``observation``."""
+        new = self._rng.normal(size=self._now.shape)
+        self._now = self.memory * self._now + np.sqrt(1 - self.memory**2) * new
+        return {**seen, "observation": (seen["observation"] + self._spread * self._now).astype(np.float32)}

@@ -15,6 +15,7 @@ from idapt_pl.modules.sac import SAC, Actor, unstack
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision
 from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.state_filter import Memory, StateFilter
 
 
 class AsymmetricSAC(SAC):
@@ -48,6 +49,8 @@ class AsymmetricSAC(SAC):
             estimates have while training, new ones in every episode (:class:`.ObservationNoise`).
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
+        memory: with ``supervised``, size of the memory of a filter over time (:class:`.StateFilter`), which stands
+            between the encoder and the actor's head; 0 for none (the paper).
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
             state from the source's task-agnostic data. G has learned from such states; far from them, or where their
             components go together differently, its images cannot be relied on.
@@ -80,14 +83,20 @@ class AsymmetricSAC(SAC):
         misperception: float = 0.0,
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
+        memory: int = 0,
         bf16: bool = True,
     ) -> None:
         super().__init__()
+        if memory and encoder != "supervised":
+            raise ValueError(
+                f"memory is {memory}, but encoder is {encoder}: a filter needs readings of states. Set one"
+            )
         self.save_hyperparameters(ignore=["vision", "rates"])
         f: PixelEncoder | PixelStatePredictor = vision.encoder(image_size, frame_stack)
         if encoder == "supervised":
             f = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
         self.add_networks(Actor(f, action_low, action_high, hidden), state_dim)
+        self.filter = StateFilter(state_dim, len(action_low), memory) if memory else None
         self.register_buffer("familiar_mean", torch.zeros(state_dim))
         self.register_buffer("familiar_precision", torch.eye(state_dim))
 
@@ -110,6 +119,15 @@ class AsymmetricSAC(SAC):
         """f_π(o): features of observations as an environment gives them, (n, d)."""
         with fast_precision(self.device, self.hparams.bf16):
             return self.actor.encoder.encode(torch.from_numpy(pixels).to(self.device))
+
+    def begin(self, n: int) -> Memory | None:
+        return self.filter.begin(n) if self.filter is not None else None
+
+    def remembering(self, features: Tensor, memory: Memory | None) -> Tensor:
+        """The filter's estimates (n, s) of readings f(o) (n, s); without a filter the readings."""
+        if self.filter is None or memory is None:
+            return features
+        return self.filter.step(features, memory)
 
     def remember(self, pixels: np.ndarray) -> dict[str, np.ndarray]:
         """What replay keeps of observations: images, or f(o) as ``observation`` with the images beside it."""

@@ -18,6 +18,7 @@ from idapt_pl.modules.observation_noise import NoObservationNoise
 from idapt_pl.nets.encoder import orthogonal_init
 from idapt_pl.nets.mlp import mlp
 from idapt_pl.nets.relu_net import relu_net
+from idapt_pl.nets.state_filter import Memory
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -120,6 +121,14 @@ class SAC(ManualModule, ABC):
     def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
         """What becomes of remembered observations on their way to the policy while it trains."""
         return NoObservationNoise()
+
+    def begin(self, n: int) -> Memory | None:
+        """What is remembered of n episodes before they begin; None of policies that act on the present alone."""
+        return None
+
+    def remembering(self, features: Tensor, memory: Memory | None) -> Tensor:
+        """What the actor sees of features f(o) (n, d), with a memory that goes on."""
+        return features
 
     @torch.no_grad()
     def act(self, observations: np.ndarray, deterministic: bool = False) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from idapt_pl.modules.observation_noise import NoObservationNoise, SlowNoise
 from idapt_pl.modules.sac import SAC, Actor
 
 
@@ -47,6 +48,7 @@ class StateSAC(SAC):
         learn_temperature: tune α towards ``target_entropy``; else it stays.
         target_entropy: nats, on actions normalised to (-1, 1); default -nu.
         actor_every: critic updates per actor (and temperature) update.
+        noise: spread of slow noise on the states that the actor sees while it trains, in units of their spread.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class StateSAC(SAC):
         learn_temperature: bool = True,
         target_entropy: float | None = None,
         actor_every: int = 1,
+        noise: float = 0.0,
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
@@ -80,6 +83,11 @@ class StateSAC(SAC):
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:
         return self.act(remembered["observation"])
 
+    def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
+        if not self.hparams.noise:
+            return NoObservationNoise()
+        return SlowNoise(self.actor.encoder.std.cpu().numpy(), num_envs, self.hparams.noise, seed)
+
     def features(self, remembered: Tensor) -> Tensor:
         return remembered  # standardised by update()
 
@@ -89,5 +97,8 @@ class StateSAC(SAC):
 
     def standardised(self, transitions: dict[str, Tensor]) -> dict[str, Tensor]:
         """What actor and critics see of transitions."""
-        now, after = (self.actor.encoder(transitions[name]) for name in ("state", "next_state"))
-        return transitions | {"state": now, "observation": now, "next_state": after, "next_observation": after}
+        names = ("state", "next_state", *(("observation", "next_observation") if self.hparams.noise else ()))
+        seen = {name: self.actor.encoder(transitions[name]) for name in names}
+        if not self.hparams.noise:
+            seen |= {"observation": seen["state"], "next_observation": seen["next_state"]}
+        return transitions | seen

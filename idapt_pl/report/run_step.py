@@ -28,6 +28,7 @@ from idapt_pl.run import Run
 
 PICTURE_WIDTH = 92
 """Of translated frames, pixels of the page."""
+EACH = "mean absolute, each"
 
 
 def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> str:
@@ -102,6 +103,22 @@ def visual_effects_section(found: VisualEffects) -> str:
     return text + picture_row(figure(shown, caption, "clip")) + (details("Values", table(heads, rows)) if rows else "")
 
 
+def state_error_rows(errors: dict, where: str) -> list[str]:
+    """How wrong the policy was about the state while it acted."""
+    world = {"grounded": "grounded source", "target": "target"}[where]
+    readers = {"readings": "read from a stack of frames", "estimates": "after the filter over time"}
+    rows = [
+        row(f"state error while acting in the {world}, {what}", f"#{', '.join(map(format_number, errors[key]))}", EACH)
+        for key, what in readers.items()
+        if key in errors
+    ]
+    if "lost" in errors:
+        rows.append(
+            row(f"steps in the {world} in which the filter lost the state", f"#{100 * errors['lost']:.1f}", "%")
+        )
+    return rows
+
+
 def step_numbers(step: StepRecord, metric: str) -> str:
     """Translation errors and the rest of the evaluation, folded away."""
     if not step.evaluation:
@@ -115,7 +132,9 @@ def step_numbers(step: StepRecord, metric: str) -> str:
     }
     for key, what in readers.items():
         if key in t:
-            rows.append(row(f"state error, {what}", "#" + ", ".join(map(format_number, t[key])), "mean absolute, each"))
+            rows.append(row(f"state error, {what}", "#" + ", ".join(map(format_number, t[key])), EACH))
+    for where in ("grounded", "target"):
+        rows += state_error_rows(step.evaluation[where].get("state_errors", {}), where)
     for key, what in {"before": "without F", "after": "with F", "noise_floor": "halves of the target's data"}.items():
         if "residual" in step.evaluation:
             rows.append(

@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from idapt_pl.modules import SAC
+from idapt_pl.nets.state_filter import Memory
 
 
 class Policy(Protocol):
@@ -33,6 +36,49 @@ def tick(policy: Policy | None, ended: np.ndarray) -> None:
         policy.tick(ended)
 
 
-def deterministic(module: SAC) -> Policy:
-    """A module's policy, acting with its mean."""
-    return lambda pixels: module.act(pixels, deterministic=True)
+class Acting:
+    """A module's policy at work in n simulations, with what it remembers of each.
+
+    Args:
+        module: the policy. One without a filter remembers nothing.
+        deterministic: act with the mean instead of sampling.
+    """
+
+    def __init__(self, module: SAC, deterministic: bool = False) -> None:
+        self.module, self.deterministic = module, deterministic
+        self.memory: Memory | None = None
+        self.readings: Tensor | None = None  # f(o) (n, d), the newest
+        self.estimates: Tensor | None = None  # what the actor saw of it
+
+    def __call__(self, pixels: np.ndarray) -> np.ndarray:
+        """Actions for what an environment gives as ``pixels``; they are taken to be played."""
+        actions = self.on_features(self.module.encode(pixels))
+        self.played(actions)
+        return actions.cpu().numpy()
+
+    @torch.no_grad()
+    def on_features(self, features: Tensor, only: Tensor | None = None) -> Tensor:
+        """Actions (n, nu) for features f(o) (n, d); with ``only``, bool (n,), others' memory stays what it was."""
+        if self.memory is None:
+            self.memory = self.module.begin(len(features))
+        before = self.memory.copy() if self.memory is not None and only is not None else None
+        self.readings, self.estimates = features, self.module.remembering(features, self.memory)
+        actions = self.module.actor(self.estimates, self.deterministic)[0]
+        if self.memory is not None and before is not None and only is not None:
+            self.memory.put_back(before, ~only)
+        return actions
+
+    def played(self, actions: Tensor) -> None:
+        """Remember the actions (n, nu) that were played, whoever chose them."""
+        if self.memory is not None:
+            self.memory.action = self.module.actor.normalise(actions)
+
+    def tick(self, ended: np.ndarray) -> None:
+        """A control step has passed; episodes that ended are forgotten."""
+        if self.memory is not None and ended.any():
+            self.memory.forget(torch.from_numpy(ended).to(self.memory.hidden.device))
+
+
+def deterministic(module: SAC) -> Acting:
+    """A module's policy, acting with its mean, at the beginning of episodes."""
+    return Acting(module, deterministic=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.policy import Policy, tick
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,13 @@ class Returns:
         return float(np.std(self.successes or self.returns))
 
 
-def evaluate(env: VectorEnv, act: Policy, episodes: int, seed: int) -> Returns:
+def evaluate(
+    env: VectorEnv, act: Policy, episodes: int, seed: int, watch: Callable[[dict[str, np.ndarray]], None] | None = None
+) -> Returns:
     """Returns of ``episodes`` whole episodes, played ``env.num_envs`` at a time.
 
-    Given a target with its reward it reads that; nothing that trains or selects has such a one.
+    Given a target with its reward it reads that; nothing that trains or selects has such a one. ``watch`` is shown what
+    the environment showed, each time after the policy has acted on it.
     """
     returns: list[float] = []
     successes: list[bool] = []
@@ -50,11 +54,16 @@ def evaluate(env: VectorEnv, act: Policy, episodes: int, seed: int) -> Returns:
         total, reached = np.zeros(env.num_envs), np.zeros(env.num_envs, bool)
         chosen = playing.copy()
         while playing.any():
-            obs, rewards, terminations, truncations, infos = env.step(act(obs["pixels"]))
+            actions = act(obs["pixels"])
+            if watch is not None:
+                watch(obs)
+            obs, rewards, terminations, truncations, infos = env.step(actions)
             total += rewards * playing
             reached |= infos.get("success", reached) & playing
             interactions += int(playing.sum())
-            playing &= ~(terminations | truncations)
+            ended = terminations | truncations
+            playing &= ~ended
+            tick(act, ended if playing.any() else np.ones_like(ended))  # all begin anew with the next reset
         returns.extend(total[chosen])
         if "success" in infos:
             successes.extend(reached[chosen])

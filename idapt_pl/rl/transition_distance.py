@@ -16,6 +16,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.estimation.energy import energy_distance
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.rl.collect import collect_each
+from idapt_pl.rl.policy import Acting
 from idapt_pl.worlds import Worlds
 
 ROLLOUTS = 3
@@ -37,7 +38,7 @@ def grounded_rollouts(
     """
     with closing(worlds.grounded(rollouts, G, F)) as env, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return [FrameStacks(played, worlds.frame_stack) for played in collect_each(env, policy.act, steps, seed)]
+        return [FrameStacks(played, worlds.frame_stack) for played in collect_each(env, Acting(policy), steps, seed)]
 
 
 def half_of_episodes(lengths: Sequence[int]) -> np.ndarray:

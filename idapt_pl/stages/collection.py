@@ -13,7 +13,7 @@ from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
-from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.stages.context import StageContext
 
 MakePolicy = Callable[[int], Policy]
@@ -67,4 +67,4 @@ def record_source(
 
 def on_policy(pi: AsymmetricSAC) -> MakePolicy:
     """π itself, sampling its actions."""
-    return lambda seed: pi.act
+    return lambda seed: Acting(pi)

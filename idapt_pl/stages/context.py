@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
@@ -11,7 +11,7 @@ from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.stage import Stages
 from idapt_pl.stages.distillation import Distillation
-from idapt_pl.stages.settings import BatchSettings, ModuleFactories
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
 from idapt_pl.worlds import Worlds
 
 
@@ -25,6 +25,7 @@ class StageContext:
         make: constructors of the modules.
         batches: sizes of batches and rollouts.
         teacher: the privileged teacher of the run; off unless the config asks for one.
+        filter: how the policy's filter learns, if it has one.
     """
 
     worlds: Worlds
@@ -32,6 +33,7 @@ class StageContext:
     make: ModuleFactories
     batches: BatchSettings
     teacher: Distillation
+    filter: FilterSettings = field(default_factory=FilterSettings)
 
     def new_policy(self, start: AsymmetricSAC | PixelStatePredictor | None = None) -> AsymmetricSAC:
         """A policy: as ``start`` is, or new, with an encoder from a predictor if one is given."""

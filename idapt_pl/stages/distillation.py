@@ -14,7 +14,7 @@ from gymnasium.vector import VectorEnv
 from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
-from idapt_pl.ranges import COUNT_OR_NONE, Range, check_ranges
+from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.stage import Stages
@@ -34,6 +34,10 @@ class TeacherSettings:
             source with F, or in a repaired source. 0 leaves it as it was. Either comes after the warm-up of its recipe.
         dagger: environment steps of DAgger (Ross et al. 2011) at the beginning of every policy stage. The policy's own
             SAC follows, as long as the schedule says; 0 leaves the student as it is.
+        rehearse: in place of DAgger, environment steps in which encoder and filter learn the policy's motions. Its head
+            is the teacher's own, which acts on estimates of the state (:mod:`~idapt_pl.stages.on_estimates`).
+        noise: spread of slow noise on the states that the teacher's actor sees while it trains, in units of their
+            spread; its critics see the true ones. So it learns to live with errors of estimates. 0 for none.
         fading: share of these over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
     """
@@ -41,16 +45,19 @@ class TeacherSettings:
     steps: int = 0
     adapt: int = 0
     dagger: int = 0
+    rehearse: int = 0
+    noise: float = 0.0
     fading: float = 0.5
     updates_per_step: float = 1.0
 
     def __post_init__(self) -> None:
-        ranges = dict.fromkeys(("steps", "adapt", "dagger"), COUNT_OR_NONE)
-        check_ranges("teacher", vars(self), ranges | {"updates_per_step": Range(0, 1e6, "(]")})
-        if bool(self.steps) != bool(self.dagger):
+        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse"), COUNT_OR_NONE)
+        check_ranges("teacher", vars(self), ranges | {"noise": NOT_NEGATIVE, "updates_per_step": Range(0, 1e6, "(]")})
+        if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
-                f"teacher.steps is {self.steps} and teacher.dagger is {self.dagger}: a teacher trains (steps) and is "
-                "imitated (dagger). Give both, or neither."
+                f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
+                "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give steps and one "
+                "of these, or none."
             )
         if not 0 < self.fading <= 1:
             raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
@@ -178,7 +185,7 @@ class Distillation:
         def build_expert() -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
             same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
-            expert = StateSAC(policy.state_dim, **bounds, **same)
+            expert = StateSAC(policy.state_dim, **bounds, **same, noise=self.settings.noise)
             if known is not None:
                 expert.load_state_dict(known.state_dict())
             return expert

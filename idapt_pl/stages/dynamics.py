@@ -22,7 +22,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.grounded_rollout import garat_rollout
-from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.trajectory_matching import initialise_by_matching
 
@@ -63,9 +63,9 @@ def fit_F(
 
     def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
         n = c.batches.garat_envs
-        env, head = c.worlds.grounded(n, G.to(device)), pi.to(device).actor
+        env, policy = c.worlds.grounded(n, G.to(device)), Acting(pi.to(device))
         length, exploring = c.batches.garat_rollout // n, round(c.batches.garat_exploring * n)
-        roll = garat_rollout(env, lambda features: head(features)[0], F, length, seed, explore(seed, n), exploring)
+        roll = garat_rollout(env, policy, F, length, seed, explore(seed, n), exploring)
         transitions = target_transitions(target, F.encode, c.worlds.frame_stack, hold_out)
         if initial is None and c.batches.garat_start == "matching":
             F.standardise(transitions)

@@ -24,16 +24,27 @@ def fit_encoder(
     """
     if not batches:
         return pi
+    return fit_encoder_on(c, step, "estimator", [translated(c, step, source, G)], batches, pi)
 
-    def translated(seed: int) -> Trajectories:
+
+def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTransformation) -> Path:
+    """``translated.h5``: labelled source images as G shows them."""
+
+    def make(seed: int) -> Trajectories:
         seen = read_all(source, also="state")
         episodes = tuple(G.translate_episode(episode) for episode in seen)
         return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
 
-    data, _ = c.stages.record(step, "translated", translated)
+    return c.stages.record(step, "translated", make)[0]
+
+
+def fit_encoder_on(
+    c: StageContext, step: int, name: str, labelled: Sequence[Path], batches: int, pi: AsymmetricSAC
+) -> AsymmetricSAC:
+    """π with its encoder regressed on the states of labelled, target-like images."""
     pi = copy.deepcopy(pi)
     estimator = c.make.state_predictor(**c.worlds.dimensions)
     estimator.P_S.load_state_dict(pi.actor.encoder.state_dict())
-    estimator = fit_P_S(c, step, [data], batches, estimator, "estimator")
+    estimator = fit_P_S(c, step, labelled, batches, estimator, name)
     pi.actor.encoder.load_state_dict(estimator.P_S.state_dict())
     return pi

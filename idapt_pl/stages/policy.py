@@ -21,16 +21,22 @@ from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.encoder import translated
+from idapt_pl.stages.on_estimates import fit_on_estimates
+from idapt_pl.stages.schedule import StageLengths
 
 log = logging.getLogger(__name__)
 
 
-def fit_source_policy(c: StageContext, steps: int, P_S: StatePredictor, source: Sequence[Path]) -> AsymmetricSAC:
+def fit_source_policy(
+    c: StageContext, steps: int, lengths: StageLengths, P_S: StatePredictor, source: Sequence[Path]
+) -> AsymmetricSAC:
     """π by SAC (or first a teacher) in the plain source: where everything starts, and what is transferred directly.
 
     Args:
         c: of the run.
         steps: environment steps of SAC.
+        lengths: of encoder and filter, where the teacher acts on estimates.
         P_S: a supervised encoder starts as its copy.
         source: the task-agnostic data, which tell π and its successors what states are familiar.
     """
@@ -38,32 +44,44 @@ def fit_source_policy(c: StageContext, steps: int, P_S: StatePredictor, source: 
     def make_env(device: torch.device) -> VectorEnv:
         return c.worlds.source(c.batches.num_envs)
 
+    def build() -> AsymmetricSAC:
+        return c.new_policy(P_S.P_S)
+
     initial: AsymmetricSAC | PixelStatePredictor = P_S.P_S
-    if c.teacher.settings.steps:
-        initial = c.teacher.student(0, "source_", lambda: c.new_policy(P_S.P_S), make_env)
+    if c.teacher.settings.rehearse:
+        teacher = c.teacher.up_to_date(0, "source_teacher", build, make_env, None)
+        initial = fit_on_estimates(c, 0, "source_", lengths, source, teacher, build())
+    elif c.teacher.settings.steps:
+        initial = c.teacher.student(0, "source_", build, make_env)
     return fit_policy(c, 0, "source_policy", make_env, steps, initial, source)
 
 
 def fit_grounded_policy(
-    c: StageContext, step: int, steps: int, G: VisualTransformation, F: ActionTransformation | None, pi: AsymmetricSAC
-) -> AsymmetricSAC:
+    c: StageContext, step: int, lengths: StageLengths, G: VisualTransformation, F: ActionTransformation | None,
+    pi: AsymmetricSAC, source: Sequence[Path],
+) -> AsymmetricSAC:  # fmt: skip
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
-    With ``feeding.trial_episodes`` it is put back to what it was if its training did not help in the grounded source.
+    Where the teacher acts on estimates, they are learned from ``source``, labelled source images, too. With
+    ``feeding.trial_episodes`` it is put back to what it was if its training did not help in the grounded source.
     """
 
     def make_env(device: torch.device) -> VectorEnv:
         return c.worlds.grounded(c.batches.num_envs, G.to(device), F.to(device) if F is not None else None)
 
     initial = pi
-    if c.teacher.settings.steps:
+    if c.teacher.settings.rehearse:
+        teacher = c.teacher.up_to_date(step, "teacher", lambda: c.new_policy(pi), make_env, F)
+        labelled = [translated(c, step, source, G)]
+        initial = fit_on_estimates(c, step, "", lengths, labelled, teacher, pi, G, F)
+    elif c.teacher.settings.steps:
         initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)
 
     def finish(policy: AsymmetricSAC, device: torch.device) -> dict:
         episodes = c.batches.trial_episodes
         return keep_better(policy, initial, make_env(device), episodes) if episodes else {}
 
-    return fit_policy(c, step, "policy", make_env, steps, initial, finish=finish)
+    return fit_policy(c, step, "policy", make_env, lengths.policy, initial, finish=finish)
 
 
 def fit_policy(

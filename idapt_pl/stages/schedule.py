@@ -42,6 +42,8 @@ class StageLengths:
         policy: environment steps for the policy.
         estimator: batches for the policy's encoder before the policy trains, regressed on the states of D^S as G shows
             it; for ``policy.encoder: supervised``. 0 leaves the encoder to the policy's own training.
+        rehearsed: batches for the encoder on rehearsals of the policy; for ``teacher.rehearse``.
+        filter: batches for the filter on them; for ``policy.memory``.
     """
 
     state_predictor: int
@@ -49,6 +51,8 @@ class StageLengths:
     policy: int
     dynamics: int = 0
     estimator: int = 0
+    rehearsed: int = 0
+    filter: int = 0
 
 
 @dataclass(frozen=True)

@@ -67,3 +67,31 @@ class BatchSettings:
                 f"feeding.garat_rollout is {self.garat_rollout} steps for the {self.garat_envs} simulations of "
                 "feeding.garat_envs: at least one for each"
             )
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """How the filter between encoder and head learns (:class:`.FilterTraining`); ``policy.memory`` is its size.
+
+    Args:
+        lr: Adam, annealed to zero.
+        stretch: observations in a stretch.
+        batch: stretches in a batch.
+        gain: spread of the gains that readings have while it learns, new ones for each stretch.
+        offset: spread of their offsets, in units of the data's spread.
+        noise: spread of what is new in every reading, in those units.
+        dropout: share of the readings that do not come.
+    """
+
+    lr: float = 1e-3
+    stretch: int = 60
+    batch: int = 16
+    gain: float = 0.15
+    offset: float = 0.15
+    noise: float = 0.1
+    dropout: float = 0.02
+
+    def __post_init__(self) -> None:
+        ranges = dict.fromkeys(("lr", "gain", "offset", "noise"), NOT_NEGATIVE)
+        ranges |= {"stretch": Range(2, 1e6), "batch": Range(1, 1e6), "dropout": Range(0, 1, "[)")}
+        check_ranges("filter", vars(self), ranges)

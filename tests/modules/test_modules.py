@@ -382,10 +382,17 @@ class LineData(OnPolicyDataModule):
     def __init__(self, F, rollouts, effect=1.0, drift=0.0):
         generator = torch.Generator().manual_seed(1)
 
-        def policy(features):
-            return 2 * torch.rand(len(features), 1, generator=generator) - 1
+        class Random:
+            def on_features(self, features, only=None):
+                return 2 * torch.rand(len(features), 1, generator=generator) - 1
 
-        roll = garat_rollout(Line(16), policy, F, 16, seed=0)
+            def played(self, actions):
+                pass
+
+            def tick(self, ended):
+                pass
+
+        roll = garat_rollout(Line(16), Random(), F, 16, seed=0)
         x, a = torch.rand(2000, 1) * 4 - 2, torch.rand(2000, 1) * 2 - 1
         target = {"features": x, "actions": a, "next_features": x + effect * a + drift}
         F.standardise(target)

@@ -157,9 +157,26 @@ class Mean(torch.nn.Module):
         return pixels[:, -1].float().flatten(1).mean(1, keepdim=True) / 255
 
 
+class Always:
+    """A policy on features with one action."""
+
+    def __init__(self, action):
+        self.action, self.calls = action, []
+
+    def on_features(self, features, only=None):
+        self.calls.append(None if only is None else only.tolist())
+        return torch.full((len(features), 1), self.action)
+
+    def played(self, actions):
+        self.calls.append("played")
+
+    def tick(self, ended):
+        self.calls.append(f"ended {int(ended.sum())}")
+
+
 def test_garat_rollout_marks_ends_and_continues_within_episodes(make):
     F = ActionTransformation(Mean(), [-100.0], [100.0], hidden=(8,))
-    roll = garat_rollout(make(2), lambda features: torch.full((len(features), 1), 10.0), F, 13, seed=0)
+    roll = garat_rollout(make(2), Always(10.0), F, 13, seed=0)
     for rollout in (roll(), roll()):
         assert {k: v.shape[:2] for k, v in rollout.items()} == dict.fromkeys(rollout, (13, 2))
         ends = rollout["ends"]

@@ -1,0 +1,131 @@
+"""A policy that is the teacher itself, acting on estimates of the state: nothing is lost in imitation.
+
+Its encoder reads states from images, its filter holds them together over time (:class:`.StateFilter`), and its head is
+the teacher's. Encoder and filter learn where states are known, in the grounded source, on the teacher's own motions
+and then on the policy's.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import Trajectories
+from datamodules.on_policy import encode_all
+from datamodules.stacks import FrameStacks
+from datamodules.stretches import ReadEpisode, StretchDataModule
+from datamodules.unpaired import read_all
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
+from idapt_pl.rl.collect import collect
+from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.rehearsal import Rehearsal
+from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.distillation import copy_critics
+from idapt_pl.stages.encoder import fit_encoder_on
+from idapt_pl.stages.schedule import StageLengths
+
+SIMULATIONS = 8
+"""Side by side, in a rehearsal."""
+
+
+def fit_on_estimates(
+    c: StageContext,
+    step: int,
+    prefix: str,
+    lengths: StageLengths,
+    labelled: Sequence[Path],
+    teacher: StateSAC,
+    start: AsymmetricSAC,
+    G: VisualTransformation | None = None,
+    F: ActionTransformation | None = None,
+) -> AsymmetricSAC:
+    """π: a teacher's head on the estimates of encoder and filter, which rehearse in the source behind G and F.
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        prefix: of the stages' names.
+        lengths: of ``rehearsed`` (encoder) and ``filter``, in batches; each half of them after each of two rehearsals.
+        labelled: trajectory files with target-like images and states, to learn from beside the rehearsals.
+        teacher: on states.
+        start: the policy whose encoder and filter go on learning.
+        G: shows source images as target images; None where the source is not grounded.
+        F: moves the source as the target moves; None is the identity.
+    """
+    pi, files = copy.deepcopy(start), list(labelled)
+    take_over(teacher, pi)
+    for part, acting in (("teacher", None), ("policy", pi)):
+        files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
+        pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
+        take_over(teacher, pi)
+        pi = fit_filter(c, step, f"{prefix}filter_{part}", files, lengths.filter // 2, pi)
+    return pi
+
+
+def rehearse(
+    c: StageContext, step: int, name: str, teacher: StateSAC, policy: AsymmetricSAC | None,
+    G: VisualTransformation | None, F: ActionTransformation | None,
+) -> Path:  # fmt: skip
+    """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states."""
+
+    def make(seed: int) -> Trajectories:
+        with closing(c.worlds.grounded(SIMULATIONS, G, F)) as env:
+            source = env.unwrapped
+            assert isinstance(source, VectorImageEnv)  # what a grounded environment wraps
+            act = Rehearsal(source, teacher, seed, deterministic(policy) if policy is not None else None)
+            return collect(env, act, c.teacher.settings.rehearse // 2, seed, f"rehearsal in the source, step {step}")
+
+    return c.stages.record(step, name, make)[0]
+
+
+def fit_filter(
+    c: StageContext, step: int, name: str, files: Sequence[Path], batches: int, pi: AsymmetricSAC
+) -> AsymmetricSAC:
+    """π with its filter fitted to what its encoder reads from labelled files."""
+
+    def feed(module: FilterTraining, seed: int, device: torch.device) -> StretchDataModule:
+        s = c.filter
+        return StretchDataModule(read_episodes(module.policy, files), s.stretch, s.batch, batches, seed)
+
+    def build() -> FilterTraining:
+        s = c.filter
+        return FilterTraining(copy.deepcopy(pi), s.lr, s.gain, s.offset, s.noise, s.dropout)
+
+    return c.stages.fit(step, name, build, feed, batches).policy
+
+
+def read_episodes(pi: AsymmetricSAC, files: Sequence[Path]) -> list[ReadEpisode]:
+    """Labelled episodes as a policy's encoder reads them; states standardised as its readings are."""
+    data = read_all(files, also="state")
+    stacks = FrameStacks(data, pi.hparams.frame_stack, labels="state")
+    assert stacks.labels is not None  # asked for
+    readings = encode_all(stacks, pi.encode).numpy()
+    states = pi.actor.encoder.standardise(torch.from_numpy(stacks.labels).to(pi.device)).cpu().numpy()
+    episodes, first = [], 0
+    for episode in data:
+        rows = slice(first, first := first + len(episode) + 1)
+        taken = pi.actor.normalise(torch.from_numpy(episode.actions).float().to(pi.device)).cpu().numpy()
+        before = np.concatenate([np.zeros_like(taken[:1]), taken])
+        episodes.append(ReadEpisode(readings[rows], before, states[rows]))
+    return episodes
+
+
+@torch.no_grad()
+def take_over(teacher: StateSAC, policy: AsymmetricSAC) -> None:
+    """Give a policy the teacher's head, critics and temperature.
+
+    The teacher's head sees states in units of its own, the policy's in those of the encoder: the first layer turns the
+    one into the other.
+    """
+    copy_critics(teacher, policy)
+    head, mine, theirs = policy.actor.head, policy.actor.encoder, teacher.actor.encoder
+    head.load_state_dict(teacher.actor.head.state_dict())
+    weight = head[0].weight
+    head[0].bias += weight @ ((mine.mean - theirs.mean) / theirs.std)
+    weight *= mine.std / theirs.std

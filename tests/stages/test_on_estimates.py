@@ -1,0 +1,227 @@
+"""The teacher on estimates: its own head, memory while it acts, rehearsals, and what a run with it leaves."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from conftest import TINY
+
+from cli.main import main
+from idapt_pl.envs import GroundedEnv, VectorImageEnv
+from idapt_pl.evaluation.estimates import EstimateErrors
+from idapt_pl.modules import AsymmetricSAC, StateSAC
+from idapt_pl.modules.observation_noise import SlowNoise
+from idapt_pl.rl.policy import Acting, deterministic
+from idapt_pl.rl.rehearsal import Rehearsal
+from idapt_pl.rl.returns import evaluate
+from idapt_pl.stages.on_estimates import read_episodes, take_over
+
+SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
+
+
+@pytest.fixture
+def teacher():
+    policy = StateSAC(**SIZES)
+    policy.actor.encoder.fit(torch.randn(50, 2) * torch.tensor([0.3, 2.0]) + 0.1)
+    policy.actor.head[-1].weight.data[:1] *= 3  # so that it means something
+    return policy
+
+
+@pytest.fixture
+def policy():
+    made = AsymmetricSAC(**SIZES, image_size=16, frame_stack=2, encoder="supervised", memory=8, bf16=False)
+    made.actor.encoder.fit_scale(torch.randn(50, 2) * torch.tensor([0.1, 3.0]) - 0.2)
+    torch.nn.init.normal_(made.filter.correction[-1].weight, std=0.3)
+    return made
+
+
+@pytest.fixture
+def env(cart):
+    made = GroundedEnv(VectorImageEnv(cart, cart.domain("source"), 2, 16, 2))
+    yield made
+    made.close()
+
+
+def test_on_true_states_the_policy_does_what_its_teacher_does(teacher, policy):
+    take_over(teacher, policy)
+    states = torch.randn(40, 2) * torch.tensor([0.3, 2.0])
+    mine = policy.actor(policy.actor.encoder.standardise(states), deterministic=True)[0]
+    np.testing.assert_allclose(mine.detach(), teacher.act(states.numpy(), deterministic=True), rtol=1e-4, atol=1e-3)
+    actions = torch.rand(40, 1) * 200 - 100
+    torch.testing.assert_close(
+        policy.critic(states, actions), teacher.critic(teacher.actor.encoder(states), actions), rtol=1e-4, atol=1e-5
+    )
+
+
+def test_acting_remembers_until_an_episode_ends(env, policy):
+    act = deterministic(policy)
+    pixels = env.reset(seed=0)[0]["pixels"]
+    first = act(pixels)
+    second = act(pixels)
+    assert (first != second).all(), "the same picture, another past"
+    act.tick(np.array([True, False]))
+    third = act(pixels)
+    assert third[0] == pytest.approx(first[0], rel=1e-5) and third[1] != pytest.approx(first[1], rel=1e-5)
+
+
+def test_a_policy_without_a_filter_remembers_nothing(env):
+    act = Acting(AsymmetricSAC(**SIZES, image_size=16, frame_stack=2, bf16=False), deterministic=True)
+    pixels = env.reset(seed=0)[0]["pixels"]
+    np.testing.assert_array_equal(act(pixels), act(pixels))
+    assert act.memory is None
+
+
+def test_only_those_that_are_asked_about_go_on(env, policy):
+    act = deterministic(policy)
+    features = policy.encode(env.reset(seed=0)[0]["pixels"])
+    act.on_features(features)
+    before = act.memory.copy()
+    act.on_features(features, torch.tensor([False, True]))
+    assert torch.equal(act.memory.hidden[0], before.hidden[0])
+    assert not torch.equal(act.memory.hidden[1], before.hidden[1])
+
+
+def test_returns_do_not_depend_on_what_was_played_before(env, policy):
+    act = deterministic(policy)
+    first, again = (evaluate(env, act, 3, seed=5).returns for _ in range(2))
+    assert first == pytest.approx(again, rel=1e-6)
+
+
+def test_the_action_that_was_played_is_remembered_as_minus_one_to_one(env, policy):
+    act = deterministic(policy)
+    actions = act(env.reset(seed=0)[0]["pixels"])
+    np.testing.assert_allclose(act.memory.action.numpy(), actions / 100, rtol=1e-5)
+
+
+# --- rehearsals -----------------------------------------------------------------------------------------
+
+
+def test_a_rehearsal_is_the_teacher_on_true_states_with_noise(env, teacher):
+    act = Rehearsal(env.unwrapped, teacher, seed=0)
+    obs, _ = env.reset(seed=0)
+    mean = teacher.act(obs["state"], deterministic=True)
+    off = np.array([act(obs["pixels"]) - mean for _ in range(400)])[..., 0]
+    assert np.abs(off).max() <= 200 and (off.std(0) > 0).all()
+    assert off.std(0) / 100 == pytest.approx(act._level, rel=0.2)
+    act._level[:] = 0
+    np.testing.assert_allclose(act(obs["pixels"]), mean, rtol=1e-5)
+    act.tick(np.array([True, False]))
+    assert act._level[0] > 0 and act._level[1] == 0
+
+
+def test_a_rehearsal_of_the_policy_remembers_what_was_played(env, teacher, policy):
+    acting = deterministic(policy)
+    act = Rehearsal(env.unwrapped, teacher, seed=0, policy=acting)
+    played = act(env.reset(seed=0)[0]["pixels"])
+    np.testing.assert_allclose(acting.memory.action.numpy(), played / 100, rtol=1e-5)
+
+
+# --- a teacher that lives with errors -------------------------------------------------------------------
+
+
+def test_noise_is_slow_and_as_large_as_asked_for():
+    noise = SlowNoise(np.array([1.0, 10.0]), 500, 0.2, seed=0)
+    zero = {"observation": np.zeros((500, 2), np.float32), "other": 1}
+    made = np.array([noise(zero)["observation"] for _ in range(50)])
+    assert made.std((0, 1)) == pytest.approx([0.2, 2.0], rel=0.05)
+    assert np.corrcoef(made[:-1, :, 0].ravel(), made[1:, :, 0].ravel())[0, 1] == pytest.approx(0.8, abs=0.03)
+    noise.renew(np.arange(500) < 250)
+    after = noise(zero)["observation"]
+    related = [np.corrcoef(made[-1, part, 0], after[part, 0])[0, 1] for part in (slice(250), slice(250, None))]
+    assert abs(related[0]) < 0.2 < 0.6 < related[1]
+
+
+def test_the_actor_sees_noise_and_the_critics_the_truth():
+    teacher = StateSAC(**SIZES, noise=0.3)
+    batch = {name: torch.randn(4, 2) for name in ("state", "next_state", "observation", "next_observation")}
+    seen = teacher.standardised(batch)
+    assert torch.equal(seen["observation"], teacher.actor.encoder(batch["observation"]))
+    assert torch.equal(seen["state"], teacher.actor.encoder(batch["state"]))
+    assert not torch.equal(seen["state"], seen["observation"])
+    plain = StateSAC(**SIZES).standardised(batch)
+    assert torch.equal(plain["observation"], plain["state"])
+
+
+# --- errors of estimates --------------------------------------------------------------------------------
+
+
+def test_errors_of_readings_and_estimates_are_measured_in_units(env, policy):
+    act = deterministic(policy)
+    errors = EstimateErrors(act)
+    evaluate(env, act, 2, 0, errors)
+    found = errors.to_dict()
+    assert set(found) == {"readings", "estimates", "lost"} and len(found["readings"]) == 2
+    obs, _ = env.reset(seed=0)
+    errors = EstimateErrors(act)
+    act(obs["pixels"])
+    errors(obs)
+    read = policy.actor.encoder.predict(torch.from_numpy(obs["pixels"])).detach().numpy()
+    assert errors.to_dict()["readings"] == pytest.approx(np.abs(read - obs["state"]).mean(0).tolist(), abs=1e-3)
+
+
+# --- a run ----------------------------------------------------------------------------------------------
+
+ON_ESTIMATES = TINY | {
+    "teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 0, "teacher.rehearse": 64, "teacher.noise": 0.1,
+    "policy.memory": 8, "filter.stretch": 10, "schedule.grounding_steps": 1, "schedule.source_policy": 0,
+    **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
+       for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
+    "threads": 1, "side_by_side": "false",
+}  # fmt: skip
+
+
+def options(config, run, values):
+    return ["--config", f"configs/{config}.yaml", "--run_dir", str(run), *(f"--{k}={v}" for k, v in values.items())]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "estimates"
+    assert main(["fit", *options("pendulum_quick", folder, ON_ESTIMATES)]) == 0
+    return folder
+
+
+def test_a_run_leaves_rehearsals_with_states_and_a_policy_with_a_filter(run):
+    from datamodules import read_trajectories
+    from idapt_pl.run import Run
+
+    for part in ("teacher", "policy"):
+        data = read_trajectories(run / f"step_00/rehearsal_{part}.h5")
+        assert data.total_steps == 32 and all("state" in e.observations for e in data)
+    loaded = Run.open(run).load_policy(run / "step_01/policy/final.ckpt")
+    assert loaded.filter is not None and (loaded.filter.usual_correction < 20).all()
+    episodes = read_episodes(loaded, [run / "step_01/rehearsal_policy.h5"])
+    assert all(e.readings.shape == e.states.shape and len(e.actions) == len(e.states) for e in episodes)
+    assert all((e.actions[0] == 0).all() and np.abs(e.actions).max() <= 1 for e in episodes)
+
+
+def test_rehearsals_cost_no_target_interactions(run):
+    ledger = json.loads((run / "ledger.json").read_text())["entries"]
+    assert sum(e["count"] for e in ledger if e["purpose"] == "training") == 60 + 60
+
+
+def test_the_evaluation_says_how_wrong_the_policy_is_about_the_state(run):
+    result = json.loads((run / "step_01/evaluation.json").read_text())
+    for where in ("target", "grounded"):
+        assert set(result[where]["state_errors"]) == {"readings", "estimates", "lost"}
+    page = (run / "report.html").read_text()
+    assert "after the filter over time" in page and "lost the state" in page
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"policy.memory": 0}, "a filter learns in rehearsals"),
+        ({"teacher.rehearse": 0, "teacher.dagger": 16}, "a filter learns in rehearsals"),
+        ({"teacher.dagger": 16}, "one of"),
+        ({"schedule.pretrain.policy": 12}, "SAC does not go on"),
+        ({"filter.dropout": 1}, "filter.dropout"),
+        ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
+          "feeding.garat_start": "identity"}, "a filter needs readings of states"),
+    ],
+)  # fmt: skip
+def test_settings_that_contradict_each_other_are_told_at_once(changed, message, tmp_path, capsys):
+    assert main(["fit", *options("pendulum_quick", tmp_path / "run", ON_ESTIMATES | changed)]) != 0
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run" / "step_00").exists()
