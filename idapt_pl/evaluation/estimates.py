@@ -18,7 +18,8 @@ class EstimateErrors:
     """
 
     def __init__(self, act: Acting) -> None:
-        self.act, self._errors = act, {"readings": [], "estimates": []}
+        self.act = act
+        self._errors: dict[str, list[np.ndarray]] = {"readings": [], "estimates": []}
 
     def __call__(self, obs: Observations) -> None:
         """The policy has just acted on what came with these true states."""

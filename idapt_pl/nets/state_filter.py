@@ -88,8 +88,8 @@ class StateFilter(nn.Module):
     def begin(self, n: int) -> Memory:
         """What is known before the first reading of n episodes."""
         like = self.gru.weight_hh_l0
-        parts = (like.new_zeros(n, size) for size in (self.hidden, self.action_dim, self.state_dim))
-        return Memory(*parts, lost=like.new_zeros(n, dtype=torch.int))
+        hidden, action, reading = (like.new_zeros(n, d) for d in (self.hidden, self.action_dim, self.state_dim))
+        return Memory(hidden, action, reading, lost=like.new_zeros(n, dtype=torch.int))
 
     @torch.no_grad()
     def step(self, readings: Float[Tensor, "n s"], memory: Memory) -> Float[Tensor, "n s"]:

@@ -120,7 +120,9 @@ def test_stretches_stay_within_episodes_and_say_where_they_end():
         numbers |= set(number[:, 0].tolist())
     assert numbers == {0, 1, 2}
     again = StretchDataModule(numbered([3, 30, 12]), 10, 64, 4, seed=0)
-    assert all(torch.equal(a["readings"], b["readings"]) for a, b in zip(batches, again.train_dataloader(), strict=True))
+    assert all(
+        torch.equal(a["readings"], b["readings"]) for a, b in zip(batches, again.train_dataloader(), strict=True)
+    )
 
 
 def test_disturbances_are_what_they_are_said_to_be():
