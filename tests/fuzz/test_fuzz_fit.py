@@ -43,6 +43,7 @@ CANNOT_BE = [
     "schedule.grounding_steps=100", "schedule.exploration=rehearse", "schedule.exploration=walk",
     "schedule.source_policy=3", "schedule.pretrain.policy=1", "schedule.finetune.policy=2", "schedule.pretrain=3",
     "schedule.finetune=null", "schedule.accumulate=maybe", "schedule.rollback=2",
+    "schedule.lengths=paper", "schedule.lengths=mine", "schedule.grounding_steps=null", "schedule.finetune.policy=null",
     "image_size=33", "image_size=20", "image_size=0", "image_size=100000", "frame_stack=0", "frame_stack=1000",
     "vision.crop=65", "vision.crop=0", "vision.crop=4", "vision.strides=[1]", "vision.strides=[0,1,1,1]",
     "vision.strides=[8,8,8,8]", "vision.pool=maximum", "vision.rates=guessed", "view.share=0", "view.share=2",
