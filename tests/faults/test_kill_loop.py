@@ -41,6 +41,8 @@ def start(config: str, run: Path, side_by_side: bool) -> subprocess.Popen:
 def without_times(value):
     if isinstance(value, dict):
         return {k: without_times(v) for k, v in value.items() if k not in TIMES}
+    if isinstance(value, list) and value and isinstance(value[0], dict) and "stage" in value[0]:
+        return sorted(map(without_times, value), key=str)  # they are in the order in which they ended
     return [without_times(v) for v in value] if isinstance(value, list) else value
 
 
