@@ -154,10 +154,11 @@ def test_no_signal_leaves_a_lock_taken_or_a_queue_that_counts_wrongly():
         reader = threading.Thread(target=read_all, args=(line,), daemon=True)
         reader.start()
         with handlers_put_back(), pytest.raises(Interrupted), interruptible():
-            threading.Timer(delay, os.kill, (os.getpid(), signal.SIGTERM)).start()
+            # by another process: a thread of this one would only be heard where the main thread waits
+            subprocess.Popen(["sh", "-c", f"sleep {delay}; kill -TERM {os.getpid()}"])
             while True:
                 line.put("x")
-                sum(range(500))
+                sum(range(100))
         line.put(None, timeout=5)
         reader.join(timeout=5)
         assert not reader.is_alive() and line.unfinished_tasks == 1, "all that was put in was read and counted"
