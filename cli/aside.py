@@ -1,4 +1,4 @@
-"""Work of a run in a process of its own, beside the rest: ``python -m cli.aside RUN NAME``, started by ``idapt fit``.
+"""Work of a run in a process of its own, beside the rest, started by ``idapt fit``.
 
 The other process opens the run folder and goes through Algorithm 1 again. Everything that was done before is loaded, so
 it is soon where the work was set aside; it does that and ends. It knows nothing that is not in the folder, which is why
@@ -12,7 +12,6 @@ import logging
 import os
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -22,6 +21,19 @@ from idapt_pl.stages.aside import in_turn
 
 log = logging.getLogger(__name__)
 Outcome = TypeVar("Outcome")
+
+PROGRAM = """
+import os, sys, threading
+def leave_with_parent():
+    os.read(0, 1)
+    os._exit(1)
+threading.Thread(target=leave_with_parent, daemon=True).start()
+from cli.aside import main
+sys.exit(main(sys.argv[1:]))
+"""
+"""What the other process runs. It leaves at once when the process that started it is gone, also while it still imports
+torch for seconds: what is started anew must not meet it. Nothing is ever written to it, so reading returns when the
+other end closes, whatever closes it."""
 
 
 class OtherProcesses:
@@ -43,7 +55,7 @@ class OtherProcesses:
             return in_turn(name, last, work)
         log.info("beside the next stages: %s", name.replace("_", " "))
         process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-m", "cli.aside", str(self.folder), name],
+            [sys.executable, "-W", "ignore", "-c", PROGRAM, str(self.folder), name],
             stdin=subprocess.PIPE,  # closes with this process, whatever ends it; then the other ends too
             stdout=subprocess.PIPE,
             text=True,
@@ -98,16 +110,6 @@ def only(wanted: str) -> Callable:
     return aside
 
 
-def end_with_parent() -> None:
-    """Leave at once when the process that started this one is gone: what it started anew must not meet us."""
-
-    def watch() -> None:
-        os.read(0, 1)  # nothing is ever written: it returns when the other end closes
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 def processes_beside(wanted: bool | None) -> int:
     """How many processes to run beside the first, for ``side_by_side``."""
     import torch
@@ -119,6 +121,10 @@ def processes_beside(wanted: bool | None) -> int:
 
 def main(args: list[str]) -> int:
     """Do one piece of work of a run. What went wrong is told on standard output, as JSON."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
+    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    logging.disable(logging.INFO)  # of what is done before, on the way to the work
     from cli.fit import open_aside
 
     folder, name = args
@@ -131,12 +137,3 @@ def main(args: list[str]) -> int:
         return 1
     print(json.dumps({"error": f"{folder}: there is no work called {name}"}))
     return 1
-
-
-if __name__ == "__main__":
-    end_with_parent()
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
-    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
-        logging.getLogger(noisy).setLevel(logging.WARNING)
-    logging.disable(logging.INFO)  # of what is done before, on the way to the work
-    sys.exit(main(sys.argv[1:]))

@@ -27,6 +27,7 @@ from idapt_pl.run import Run, RunConfig
 from idapt_pl.run_folder.kept_config import without_retired
 from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
+from idapt_pl.stages.schedule import fill_lengths
 
 
 class StageProgressBar(TQDMProgressBar):
@@ -63,6 +64,7 @@ class GroundingCLI(LightningCLI):
 
     def instantiate_classes(self) -> None:
         self.config.trainer.devices = one_device(self.config.trainer)
+        fill_lengths(self.config.schedule, self.config.task, self.config.target)
         self.config_init = self.parser.instantiate_classes(self.config)
         try:
             self.instantiate_trainer(logger=False)  # what it does not take is better said now

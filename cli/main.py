@@ -10,7 +10,7 @@ import re
 import sys
 import warnings
 
-from cli.interrupt import Interrupted, interruptible
+from cli.interrupt import Interrupted, interruptible, leave_within
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -39,6 +39,9 @@ HARMLESS = (
 )
 """Warnings of other packages that a user can do nothing about, as patterns of how they begin."""
 
+LEAVING = 30.0
+"""Seconds that a command may take to leave once it has said that it was stopped."""
+
 
 def usage() -> str:
     """The overview that ``idapt --help`` prints."""
@@ -52,7 +55,7 @@ def usage() -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command. Returns 0 (ok), 1 (failed), 2 (bad usage), 130 (Ctrl-C) or 143 (SIGTERM)."""
-    argv = sys.argv[1:] if argv is None else argv
+    own_process, argv = argv is None, sys.argv[1:] if argv is None else argv
     if not argv or argv[0] in ("-h", "--help"):
         print(usage())
         return 0 if argv else 2
@@ -69,7 +72,9 @@ def main(argv: list[str] | None = None) -> int:
         with interruptible():
             return run_command(name, [a for a in rest if a != "--debug"], "--debug" in rest)
     except Interrupted as interrupted:
-        print(f"idapt {name}: {interrupted}", file=sys.stderr)
+        print(f"idapt {name}: {interrupted}", file=sys.stderr, flush=True)
+        if own_process:
+            leave_within(LEAVING, interrupted.exit_code)
         return interrupted.exit_code
     except KeyboardInterrupt:  # where signals are not ours to handle
         print(f"idapt {name}: interrupted", file=sys.stderr)

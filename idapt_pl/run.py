@@ -31,7 +31,7 @@ from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
-from idapt_pl.stages.schedule import Schedule
+from idapt_pl.stages.schedule import Schedule, fill_lengths, filled
 from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
@@ -155,7 +155,6 @@ class RunConfig:
             ValueError: if settings contradict each other.
         """
         values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
-        values["schedule"] = values["schedule"].for_task(values["task"], values["target"])
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
         made.check_ranges()
         made.check_encoder()
@@ -179,6 +178,7 @@ class RunConfig:
         entries = {k: v for k, v in without_retired(kept).items() if k in known}
         with blaming(folder / "config.yaml", "Give it the value that the run was started with."):
             config = parser.parse_object(entries | {"run_dir": str(folder)})
+            fill_lengths(config.schedule, config.task, config.target)
             return cls.from_namespace(parser.instantiate_classes(config))
 
     def check_ranges(self) -> None:
@@ -196,7 +196,7 @@ class RunConfig:
         for name, ranges in MODULE_RANGES.items():
             check_ranges(name, self.modules[name], ranges)
         steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
-        steps |= {"schedule.source_policy": self.schedule.source_policy, "teacher.dagger": self.teacher.dagger}
+        steps |= {"schedule.source_policy": filled(self.schedule.source_policy), "teacher.dagger": self.teacher.dagger}
         for key, number in steps.items():
             if 0 < number < self.feeding.num_envs:
                 raise ValueError(

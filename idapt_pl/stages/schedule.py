@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from idapt_pl.ranges import COUNT, COUNT_OR_NONE, Range, check_ranges
 
@@ -30,6 +30,45 @@ at first, or on HalfCheetah and Walker2d asks for a checkpoint, here of its usua
 plain source; it is the reference for direct transfer.
 """
 
+FILLED = ("grounding_steps", "source_policy", "pretrain.policy", "finetune.policy")
+"""Keys of a schedule that may be null: ``lengths`` says then whose numbers they have."""
+
+
+def fill_lengths(schedule: Any, task: str, target: str) -> None:
+    """Put numbers where a config has null. What was given after a preset is a number already, and stays.
+
+    Args:
+        schedule: what a parser made of the key; changed in place, its ``lengths`` are ``given`` then.
+        task: whose numbers they are, by name.
+        target: likewise; the paper's easy ones have one grounding step.
+
+    Raises:
+        ValueError: if there is no number for a null, or no null for ``lengths`` to fill.
+    """
+    missing, lengths = [key for key in FILLED if schedule[key] is None], schedule["lengths"]
+    if lengths == "given":
+        if missing:
+            raise ValueError(f"schedule.{missing[0]} is null: give a number, or schedule.lengths paper or official")
+        return
+    if not missing:
+        raise ValueError(
+            f"schedule.lengths is {lengths}, but there are numbers for all that it says: set to null what it shall say "
+            f"({', '.join(FILLED)}), or give schedule.lengths given"
+        )
+    if task not in POLICY_STEPS[lengths]:
+        raise ValueError(f"schedule.lengths: {lengths} has no steps for the task {task!r}; give schedule.{missing[0]}")
+    N = 1 if (lengths, target) == ("paper", "easy") else 5
+    numbers = dict(zip(FILLED, (N, *POLICY_STEPS[lengths][task]), strict=True))
+    for key in missing:
+        schedule[key] = numbers[key]
+    schedule["lengths"] = "given"
+
+
+def filled(steps: int | None) -> int:
+    """A number that may be null in a config, once :func:`fill_lengths` has seen it."""
+    assert steps is not None, "a schedule was made before its lengths were filled"
+    return steps
+
 
 @dataclass(frozen=True)
 class StageLengths:
@@ -48,7 +87,7 @@ class StageLengths:
 
     state_predictor: int
     visual: int
-    policy: int
+    policy: int | None = 10_000
     dynamics: int = 0
     estimator: int = 0
     rehearsed: int = 0
@@ -79,16 +118,16 @@ class Schedule:
         until_settled: end the run with the grounding step whose new recording of the target shows nothing that the
             grounded source does not do already, by images and actions alone; its policy stays. False always takes all
             steps (the paper).
-        lengths: ``given`` by the keys above; or those of the ``paper`` or of the authors' ``official`` code, where
-            ``grounding_steps``, ``source_policy`` and both ``policy`` depend on task and target, whatever is given.
+        lengths: whose numbers ``grounding_steps``, ``source_policy`` and both ``policy`` have where they are null:
+            those of the ``paper`` or of the ``official`` code for the task and target. ``given``: none is null.
     """
 
-    grounding_steps: int = 5
+    grounding_steps: int | None = 5
     images: int = 20_000
     source_images: int | None = None
     exploration: Literal["random", "babble", "rehearse"] = "random"
     interactions: int = 1000
-    source_policy: int = 10_000
+    source_policy: int | None = 10_000
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
     action_transformation: bool = True
@@ -103,17 +142,3 @@ class Schedule:
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
-
-    def for_task(self, task: str, target: str) -> Schedule:
-        """This schedule with the lengths that ``lengths`` asks for, for a task and its target, by their names."""
-        steps = POLICY_STEPS.get(self.lengths, {}).get(task)
-        if steps is None:
-            return self
-        source, before, each = steps
-        return replace(
-            self,
-            grounding_steps=1 if (self.lengths, target) == ("paper", "easy") else 5,
-            source_policy=source,
-            pretrain=replace(self.pretrain, policy=before),
-            finetune=replace(self.finetune, policy=each),
-        )

