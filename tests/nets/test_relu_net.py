@@ -3,8 +3,17 @@
 import pytest
 import torch
 
+from idapt_pl.nets import relu_net as module
 from idapt_pl.nets.mlp import mlp
 from idapt_pl.nets.relu_net import relu_net
+
+
+@pytest.fixture(autouse=True, params=["oneDNN", "MKL"])
+def library(request, monkeypatch):
+    """Both, whichever this processor is quicker with."""
+    if request.param == "oneDNN" and not torch.backends.mkldnn.is_available():
+        pytest.skip("this build of PyTorch has no oneDNN")
+    monkeypatch.setattr(module, "onednn_is_quicker", lambda: request.param == "oneDNN")
 
 
 @pytest.mark.parametrize("hidden", [[32, 16], [8], []])
@@ -28,7 +37,11 @@ def test_a_frozen_net_passes_gradients_on_and_takes_none():
     torch.testing.assert_close(x.grad, torch.autograd.grad(net(x).sum(), x)[0])
 
 
-def test_without_onednn_the_layers_are_computed_one_by_one(monkeypatch):
-    net, x = mlp(5, [16], 3), torch.randn(7, 5)
-    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
-    assert torch.equal(relu_net(net, x), net(x))
+@pytest.mark.parametrize(("available", "capability", "quicker"), [
+    (True, "AVX512", True), (True, "AVX2", False), (False, "AVX512", False),
+])  # fmt: skip
+def test_onednn_multiplies_where_its_instructions_are_wider(monkeypatch, available, capability, quicker):
+    monkeypatch.undo()  # the fixture's
+    monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: available)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
+    assert module.onednn_is_quicker() == quicker
