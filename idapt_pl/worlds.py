@@ -50,8 +50,15 @@ class Worlds:
         self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None
     ) -> GroundedEnv:
         """The source seen through G and moved through F; None is the identity."""
+        return self.grounded_over(self.source(num_envs), G, F)
+
+    @staticmethod
+    def grounded_over(
+        source: VectorImageEnv, G: VisualTransformation | None, F: ActionTransformation | None
+    ) -> GroundedEnv:
+        """As :meth:`grounded`, over simulations of the source that are there already."""
         return GroundedEnv(
-            self.source(num_envs),
+            source,
             G=G.translate if G is not None else None,
             F=F.transform if F is not None else None,
             frames=G.frames if G is not None else 1,

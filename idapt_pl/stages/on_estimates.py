@@ -20,7 +20,6 @@ from datamodules.on_policy import encode_all
 from datamodules.stacks import FrameStacks
 from datamodules.stretches import ReadEpisode, StretchDataModule
 from datamodules.unpaired import read_all
-from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
@@ -75,9 +74,8 @@ def rehearse(
     """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states."""
 
     def make(seed: int) -> Trajectories:
-        with closing(c.worlds.grounded(SIMULATIONS, G, F)) as env:
-            source = env.unwrapped
-            assert isinstance(source, VectorImageEnv)  # what a grounded environment wraps
+        source = c.worlds.source(SIMULATIONS)
+        with closing(c.worlds.grounded_over(source, G, F)) as env:
             act = Rehearsal(source, teacher, seed, deterministic(policy) if policy is not None else None)
             return collect(env, act, c.teacher.settings.rehearse // 2, seed, f"rehearsal in the source, step {step}")
 
