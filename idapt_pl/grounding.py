@@ -20,7 +20,7 @@ from idapt_pl.stages.encoder import fit_encoder
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
 from idapt_pl.stages.repair import SourceRepair
 from idapt_pl.stages.rollback import Rollback
-from idapt_pl.stages.schedule import Schedule, filled
+from idapt_pl.stages.schedule import Schedule, length_of
 from idapt_pl.stages.state_predictor import fit_P_S
 from idapt_pl.stages.visual import fit_G
 
@@ -88,7 +88,7 @@ class IterativeGrounding:
     def run(self) -> list[dict]:
         """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
         done = [self.begin()]
-        for k in range(1, filled(self.schedule.grounding_steps) + 1):
+        for k in range(1, length_of(self.schedule.grounding_steps) + 1):
             D_T = (*done[-1].D_T, record_target(self.context, k, on_policy(done[-1].pi), self.schedule.interactions))
             if self.settled(k, done[-1], D_T):
                 break
@@ -132,7 +132,7 @@ class IterativeGrounding:
 
         def work() -> AsymmetricSAC:
             s = self.schedule
-            pi = fit_source_policy(self.context, filled(s.source_policy), s.pretrain, P_S, D_S)
+            pi = fit_source_policy(self.context, length_of(s.source_policy), s.pretrain, P_S, D_S)
             self.evaluation.direct_transfer(pi)
             return pi
 

@@ -31,8 +31,8 @@ from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
-from idapt_pl.stages.schedule import Schedule, fill_lengths, filled
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
+from idapt_pl.stages.schedule import Schedule, fill_lengths, length_of
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories, check_memory
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
 
@@ -196,7 +196,10 @@ class RunConfig:
         for name, ranges in MODULE_RANGES.items():
             check_ranges(name, self.modules[name], ranges)
         steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
-        steps |= {"schedule.source_policy": filled(self.schedule.source_policy), "teacher.dagger": self.teacher.dagger}
+        steps |= {
+            "schedule.source_policy": length_of(self.schedule.source_policy),
+            "teacher.dagger": self.teacher.dagger,
+        }
         for key, number in steps.items():
             if 0 < number < self.feeding.num_envs:
                 raise ValueError(
@@ -218,18 +221,8 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
-        memory, rehearse = self.modules["policy"]["memory"], self.teacher.rehearse
-        if bool(memory) != bool(rehearse):
-            raise ValueError(
-                f"policy.memory is {memory}, but teacher.rehearse is {rehearse}: a filter learns in rehearsals, and "
-                "they are for a filter. Give both, or neither."
-            )
-        trained = [k for k in ("pretrain", "finetune") if getattr(self.schedule, k).policy]
-        if memory and (trained or self.schedule.source_policy):
-            raise ValueError(
-                "with policy.memory the policy is the teacher on estimates and SAC does not go on: set "
-                "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy to 0."
-            )
+        sac = (self.schedule.source_policy, self.schedule.pretrain.policy, self.schedule.finetune.policy)
+        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, any(sac))
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "

@@ -10,7 +10,7 @@ from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.policy import Acting
 
-NOISE = 0.3
+STRONGEST_NOISE = 0.3
 """Largest spread of the noise on actions, as a share of half their range."""
 
 
@@ -29,7 +29,7 @@ class Rehearsal:
     def __init__(self, env: VectorImageEnv, teacher: StateSAC, seed: int, policy: Acting | None = None) -> None:
         self.env, self.teacher, self.policy = env, teacher, policy
         self._rng = np.random.default_rng(seed)
-        self._level = self._rng.uniform(0, NOISE, env.num_envs)
+        self._level = self._rng.uniform(0, STRONGEST_NOISE, env.num_envs)
 
     @torch.no_grad()
     def __call__(self, pixels: np.ndarray) -> np.ndarray:
@@ -51,6 +51,6 @@ class Rehearsal:
 
     def tick(self, ended: np.ndarray) -> None:
         """A control step has passed; ``ended``, bool (n,), says in which simulations it ended the episode."""
-        self._level[ended] = self._rng.uniform(0, NOISE, int(ended.sum()))
+        self._level[ended] = self._rng.uniform(0, STRONGEST_NOISE, int(ended.sum()))
         if self.policy is not None:
             self.policy.tick(ended)

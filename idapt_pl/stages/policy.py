@@ -23,7 +23,7 @@ from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.encoder import translated
 from idapt_pl.stages.on_estimates import fit_on_estimates
-from idapt_pl.stages.schedule import StageLengths, filled
+from idapt_pl.stages.schedule import StageLengths, length_of
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ def fit_grounded_policy(
         episodes = c.batches.trial_episodes
         return keep_better(policy, initial, make_env(device), episodes) if episodes else {}
 
-    return fit_policy(c, step, "policy", make_env, filled(lengths.policy), initial, finish=finish)
+    return fit_policy(c, step, "policy", make_env, length_of(lengths.policy), initial, finish=finish)
 
 
 def fit_policy(
