@@ -196,10 +196,8 @@ class RunConfig:
         for name, ranges in MODULE_RANGES.items():
             check_ranges(name, self.modules[name], ranges)
         steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
-        steps |= {
-            "schedule.source_policy": length_of(self.schedule.source_policy),
-            "teacher.dagger": self.teacher.dagger,
-        }
+        source = length_of(self.schedule.source_policy)
+        steps |= {"schedule.source_policy": source, "teacher.dagger": self.teacher.dagger}
         for key, number in steps.items():
             if 0 < number < self.feeding.num_envs:
                 raise ValueError(
