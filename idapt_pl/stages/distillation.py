@@ -56,8 +56,8 @@ class TeacherSettings:
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
-                "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give steps and one "
-                "of these, or none."
+                "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give both: steps "
+                "and one of these, or none."
             )
         if not 0 < self.fading <= 1:
             raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
