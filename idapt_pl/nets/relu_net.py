@@ -1,9 +1,8 @@
-"""A multilayer perceptron with ReLU as one step of autograd, on products that are quick on any CPU.
+"""A multilayer perceptron with ReLU as one step of autograd, on oneDNN's products where they are quicker.
 
 PyTorch multiplies float32 matrices with MKL, which on AMD's processors keeps to AVX2. Where they have AVX-512, oneDNN,
-which PyTorch brings along for convolutions, is nearly twice as quick; where they have not, it is slower: it spends some
-30 µs more on every call. One step for the whole net, forwards and backwards, also saves most of what small products
-cost around them. ``benchmarks/sac_speed.py`` measures what comes of it.
+which PyTorch brings along for convolutions, is nearly twice as quick. Where they have not, it is slower, as it spends
+some 30 µs more on every call, and the layers one by one on MKL are quickest. ``benchmarks/sac_speed.py`` measures it.
 """
 
 from __future__ import annotations
@@ -24,22 +23,19 @@ def relu_net(net: nn.Sequential, x: Float[Tensor, "n i"], frozen: bool = False) 
         frozen: gradients flow to ``x`` alone.
     """
     layers = [layer for layer in net if isinstance(layer, nn.Linear)]
-    if x.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
+    if x.device.type != "cpu" or torch.is_autocast_enabled("cpu") or not onednn_is_quicker():
         return net(x)
     return ReLUNet.apply(x, frozen, *(p for layer in layers for p in (layer.weight, layer.bias)))
 
 
 def onednn_is_quicker() -> bool:
-    """Whether oneDNN multiplies with wider instructions than MKL may do."""
+    """Whether oneDNN multiplies with wider instructions than MKL may."""
     return torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability() == "AVX512"
 
 
-def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, relu: bool = False) -> Tensor:
-    """X W^T + b, then ReLU if asked to."""
-    if onednn_is_quicker():
-        return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "relu" if relu else "none", [], "")
-    made = x @ weight.t() if bias is None else torch.addmm(bias, x, weight.t())
-    return made.relu_() if relu else made
+def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, then: str = "none") -> Tensor:
+    """X W^T + b by oneDNN, ``then`` "relu" or nothing."""
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, then, [], "")
 
 
 class ReLUNet(torch.autograd.Function):
@@ -51,7 +47,7 @@ class ReLUNet(torch.autograd.Function):
         inputs, last = [], len(parameters) - 2
         for i in range(0, len(parameters), 2):
             inputs.append(x)
-            x = product(x, parameters[i], parameters[i + 1], relu=i != last)
+            x = product(x, parameters[i], parameters[i + 1], "none" if i == last else "relu")
         ctx.save_for_backward(*inputs, *parameters[::2])
         return x
 
