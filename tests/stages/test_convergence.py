@@ -38,10 +38,20 @@ def test_chance_alone_seldom_keeps_a_run_going():
 class Pushing:
     """A policy that pushes at random; it draws from torch's generator, as π does."""
 
-    actor = SimpleNamespace(encoder=WhereTheCartIs())
+    class actor:
+        encoder = WhereTheCartIs()
 
-    def act(self, pixels, deterministic=False):
-        return 200 * torch.rand(len(pixels), 1).numpy() - 100
+        def __new__(cls, features, deterministic):
+            return (200 * torch.rand(len(features), 1) - 100,)
+
+    def encode(self, pixels):
+        return self.actor.encoder.encode(torch.from_numpy(pixels))
+
+    def begin(self, n):
+        return None
+
+    def remembering(self, features, memory):
+        return features
 
 
 @pytest.fixture

@@ -147,9 +147,21 @@ def make_F(gain=1.0, bias=0.0):
 class Centering:
     """A policy that pushes the box to the middle; it draws from torch's generator, as π does."""
 
+    def encode(self, pixels):
+        return WhereTheCartIs().encode(torch.from_numpy(pixels))
+
+    def begin(self, n):
+        return None
+
+    def remembering(self, features, memory):
+        return features
+
+    def actor(self, features, deterministic):
+        x, rate = features.T
+        return ((100 * (-3 * x - 0.3 * rate + 0.3 * torch.randn(len(x))).clamp(-1, 1))[:, None],)
+
     def act(self, pixels):
-        x, rate = WhereTheCartIs().encode(torch.from_numpy(pixels)).T
-        return (100 * (-3 * x - 0.3 * rate + 0.3 * torch.randn(len(x))).clamp(-1, 1))[:, None].numpy()
+        return self.actor(self.encode(pixels), False)[0].numpy()
 
 
 @pytest.fixture
