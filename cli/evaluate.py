@@ -13,7 +13,7 @@ from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.run import Run
 from idapt_pl.run_folder.interactions import later_entries
-from idapt_pl.stages.schedule import filled
+from idapt_pl.stages.schedule import known
 
 
 def main(args: list[str]) -> int:
@@ -72,7 +72,7 @@ def finished_policies(run: Run) -> list[tuple[str, Path]]:
     ]
     found += [
         (f"IDAPT, grounding step {k}", run.step_folder(k) / "policy/final.ckpt")
-        for k in range(1, filled(run.config.schedule.grounding_steps) + 1)
+        for k in range(1, known(run.config.schedule.grounding_steps) + 1)
     ]
     found += [("oracle", run.folder / "step_00/oracle/final.ckpt")]
     existing = [(name, path) for name, path in found if path.exists()]

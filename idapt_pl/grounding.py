@@ -20,7 +20,7 @@ from idapt_pl.stages.encoder import fit_encoder
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
 from idapt_pl.stages.repair import SourceRepair
 from idapt_pl.stages.rollback import Rollback
-from idapt_pl.stages.schedule import Schedule, filled
+from idapt_pl.stages.schedule import Schedule, known
 from idapt_pl.stages.state_predictor import fit_P_S
 from idapt_pl.stages.visual import fit_G
 
@@ -88,7 +88,7 @@ class IterativeGrounding:
     def run(self) -> list[dict]:
         """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
         done = [self.begin()]
-        for k in range(1, filled(self.schedule.grounding_steps) + 1):
+        for k in range(1, known(self.schedule.grounding_steps) + 1):
             D_T = (*done[-1].D_T, record_target(self.context, k, on_policy(done[-1].pi), self.schedule.interactions))
             if self.settled(k, done[-1], D_T):
                 break
@@ -106,7 +106,7 @@ class IterativeGrounding:
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S)
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
-        pi = fit_grounded_policy(c, 0, filled(lengths.policy), G, None, pi)
+        pi = fit_grounded_policy(c, 0, known(lengths.policy), G, None, pi)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
@@ -120,7 +120,7 @@ class IterativeGrounding:
         F_before = None if repaired else g.F  # else it was F of another source
         F = self.ground_actions(k, D_T, G, pi, F_before)
         F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
-        pi_before, pi = pi, fit_grounded_policy(c, k, filled(lengths.policy), G, F, pi)
+        pi_before, pi = pi, fit_grounded_policy(c, k, known(lengths.policy), G, F, pi)
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:
@@ -131,7 +131,7 @@ class IterativeGrounding:
         """The policy of the plain source, and what it is worth in the target as it is (direct transfer)."""
 
         def work() -> AsymmetricSAC:
-            pi = fit_source_policy(self.context, filled(self.schedule.source_policy), P_S, D_S)
+            pi = fit_source_policy(self.context, known(self.schedule.source_policy), P_S, D_S)
             self.evaluation.direct_transfer(pi)
             return pi
 

@@ -31,7 +31,7 @@ from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
-from idapt_pl.stages.schedule import Schedule, fill_lengths, filled
+from idapt_pl.stages.schedule import Schedule, fill_lengths, known
 from idapt_pl.stages.settings import BatchSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
@@ -193,7 +193,7 @@ class RunConfig:
         for name, ranges in MODULE_RANGES.items():
             check_ranges(name, self.modules[name], ranges)
         steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
-        steps |= {"schedule.source_policy": filled(self.schedule.source_policy), "teacher.dagger": self.teacher.dagger}
+        steps |= {"schedule.source_policy": known(self.schedule.source_policy), "teacher.dagger": self.teacher.dagger}
         for key, number in steps.items():
             if 0 < number < self.feeding.num_envs:
                 raise ValueError(

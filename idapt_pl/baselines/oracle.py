@@ -12,7 +12,7 @@ from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
 from idapt_pl.run_folder.interactions import ORACLE, ORACLE_EVALUATION, oracle_interactions
 from idapt_pl.stages.policy import fit_policy
-from idapt_pl.stages.schedule import filled
+from idapt_pl.stages.schedule import known
 from idapt_pl.stages.state_predictor import fit_P_S
 
 
@@ -27,8 +27,8 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
     """
     c, schedule = grounding.context, grounding.schedule
     worlds, stages = c.worlds, c.stages
-    steps = filled(schedule.source_policy) + filled(schedule.pretrain.policy)
-    steps += filled(schedule.grounding_steps) * filled(schedule.finetune.policy)
+    steps = known(schedule.source_policy) + known(schedule.pretrain.policy)
+    steps += known(schedule.grounding_steps) * known(schedule.finetune.policy)
 
     def make_env(device: torch.device) -> VectorEnv:
         return worlds.rewarded_target(c.batches.num_envs)

@@ -64,7 +64,7 @@ def fill_lengths(schedule: Any, task: str, target: str) -> None:
     schedule["lengths"] = "given"
 
 
-def filled(steps: int | None) -> int:
+def known(steps: int | None) -> int:
     """A number that may be null in a config, once :func:`fill_lengths` has seen it."""
     assert steps is not None, "a schedule was made before its lengths were filled"
     return steps
