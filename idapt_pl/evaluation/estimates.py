@@ -37,7 +37,7 @@ class EstimateErrors:
         ``readings`` is what a stack of frames tells, ``estimates`` what the filter makes of it; ``lost`` is the share
         of steps in which it lost the state.
         """
-        found = {name: np.mean(each, 0).round(4).tolist() for name, each in self._errors.items() if each}
+        found = {name: np.mean(each, 0, dtype=float).round(4).tolist() for name, each in self._errors.items() if each}
         module = self.act.module
         if not found or not isinstance(module, AsymmetricSAC) or module.filter is None or self.act.memory is None:
             return {"readings": found["readings"]} if found else {}
