@@ -31,8 +31,8 @@ from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
-from idapt_pl.stages.schedule import Schedule, fill_lengths, length_of
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories, check_memory
+from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
 
@@ -219,8 +219,7 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
-        sac = (self.schedule.source_policy, self.schedule.pretrain.policy, self.schedule.finetune.policy)
-        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, any(sac))
+        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.schedule)
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "

@@ -61,12 +61,16 @@ class Acting:
         """Actions (n, nu) for features f(o) (n, d); with ``only``, bool (n,), others' memory stays what it was."""
         if self.memory is None:
             self.memory = self.module.begin(len(features))
-        before = self.memory.copy() if self.memory is not None and only is not None else None
-        self.readings, self.estimates = features, self.module.remembering(features, self.memory)
-        actions = self.module.actor(self.estimates, self.deterministic)[0]
-        if self.memory is not None and before is not None and only is not None:
-            self.memory.put_back(before, ~only)
+        if only is None or self.memory is None:
+            return self._choose(features)
+        before = self.memory.copy()
+        actions = self._choose(features)
+        self.memory.put_back(before, ~only)
         return actions
+
+    def _choose(self, features: Tensor) -> Tensor:
+        self.readings, self.estimates = features, self.module.remembering(features, self.memory)
+        return self.module.actor(self.estimates, self.deterministic)[0]
 
     def played(self, actions: Tensor) -> None:
         """Remember the actions (n, nu) that were played, whoever chose them."""

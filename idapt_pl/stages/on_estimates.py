@@ -59,7 +59,8 @@ def fit_on_estimates(
     """
     pi, files = copy.deepcopy(start), list(labelled)
     take_over(teacher, pi)
-    for part, acting in (("teacher", None), ("policy", pi)):
+    for part in ("teacher", "policy"):
+        acting = pi if part == "policy" else None  # as it is by then
         files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
         pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
         take_over(teacher, pi)

@@ -142,3 +142,34 @@ class Schedule:
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
+
+
+def check_memory(memory: int, rehearse: int, schedule: Schedule) -> None:
+    """A policy with a memory is a teacher on estimates, which are learned in rehearsals.
+
+    Args:
+        memory: ``policy.memory``.
+        rehearse: ``teacher.rehearse``.
+        schedule: whose SAC would go on with it, and which says how long encoder and filter learn.
+
+    Raises:
+        ValueError: where the one is without the other, SAC is to go on, or nothing would be learned.
+    """
+    if bool(memory) != bool(rehearse):
+        raise ValueError(
+            f"policy.memory is {memory}, but teacher.rehearse is {rehearse}: a filter learns in rehearsals, and "
+            "they are for a filter. Give both, or neither."
+        )
+    if not memory:
+        return
+    if schedule.source_policy or schedule.pretrain.policy or schedule.finetune.policy:
+        raise ValueError(
+            "with policy.memory the policy is the teacher on estimates and SAC does not go on: set "
+            "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy to 0."
+        )
+    for name in ("rehearsed", "filter"):
+        if getattr(schedule.pretrain, name) < 2:
+            raise ValueError(
+                f"schedule.pretrain.{name} is {getattr(schedule.pretrain, name)}: half of these batches follow each of "
+                "two rehearsals, so that encoder and filter learn. Give at least 2, such as 1500"
+            )

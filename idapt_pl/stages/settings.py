@@ -95,26 +95,3 @@ class FilterSettings:
         ranges = dict.fromkeys(("lr", "gain", "offset", "noise"), NOT_NEGATIVE)
         ranges |= {"stretch": Range(2, 1e6), "batch": Range(1, 1e6), "dropout": Range(0, 1, "[)")}
         check_ranges("filter", vars(self), ranges)
-
-
-def check_memory(memory: int, rehearse: int, sac_follows: bool) -> None:
-    """A policy with a memory is a teacher on estimates, which learn in rehearsals.
-
-    Args:
-        memory: ``policy.memory``.
-        rehearse: ``teacher.rehearse``.
-        sac_follows: whether the schedule has SAC train the policy.
-
-    Raises:
-        ValueError: where the one is without the other, or SAC is to go on.
-    """
-    if bool(memory) != bool(rehearse):
-        raise ValueError(
-            f"policy.memory is {memory}, but teacher.rehearse is {rehearse}: a filter learns in rehearsals, and "
-            "they are for a filter. Give both, or neither."
-        )
-    if memory and sac_follows:
-        raise ValueError(
-            "with policy.memory the policy is the teacher on estimates and SAC does not go on: set "
-            "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy to 0."
-        )

@@ -7,6 +7,8 @@ from conftest import QUICK, ROOT, TINY
 from cli.fit import GroundingCLI
 from cli.main import main
 from idapt_pl.run import RunConfig
+from idapt_pl.stages.distillation import TeacherSettings
+from idapt_pl.stages.schedule import Schedule, StageLengths
 
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
 PAPER = {
@@ -93,6 +95,31 @@ def test_a_preset_over_any_config_gives_what_its_name_says(config, name):
     assert run.schedule.grounding_steps == (1 if name == "paper" and run.target == "easy" else 5)
     alone = yaml.safe_load(config.read_text())
     assert (run.task, run.target) == (alone["task"], alone["target"])
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_a_preset_leaves_no_length_and_no_option_of_teacher_and_filter_to_what_lies_beneath(name):
+    settings = yaml.safe_load(preset(name).read_text())
+    for part in ("pretrain", "finetune"):
+        assert set(settings["schedule"][part]) == set(StageLengths.__dataclass_fields__)
+    assert set(settings["teacher"]) == set(TeacherSettings.__dataclass_fields__) - {"fading", "updates_per_step"}
+    assert set(settings["schedule"]) == set(Schedule.__dataclass_fields__)
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_a_preset_takes_filter_and_rehearsals_out_of_a_config(name, tmp_path):
+    mine = tmp_path / "mine.yaml"
+    lengths = {"policy": 0, "rehearsed": 10, "filter": 10, "state_predictor": 1, "visual": 1}
+    mine.write_text(yaml.safe_dump({
+        "schedule": {"source_policy": 0, "pretrain": lengths, "finetune": lengths},
+        "teacher": {"steps": 100, "rehearse": 100, "noise": 0.1},
+        "policy": {"encoder": "supervised", "memory": 8},
+    }))  # fmt: skip
+    assert parsed(mine)[0].modules["policy"]["memory"] == 8
+    config, _ = parsed(mine, preset(name))
+    assert config.modules["policy"]["memory"] == 0
+    assert (config.teacher.steps, config.teacher.rehearse, config.teacher.noise) == (0, 0, 0)
+    assert config.schedule.pretrain.filter == config.schedule.finetune.rehearsed == 0
 
 
 @pytest.mark.parametrize("name", VALUES)

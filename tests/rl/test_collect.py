@@ -176,7 +176,8 @@ class Always:
 
 def test_garat_rollout_marks_ends_and_continues_within_episodes(make):
     F = ActionTransformation(Mean(), [-100.0], [100.0], hidden=(8,))
-    roll = garat_rollout(make(2), Always(10.0), F, 13, seed=0)
+    policy = Always(10.0)
+    roll = garat_rollout(make(2), policy, F, 13, seed=0)
     for rollout in (roll(), roll()):
         assert {k: v.shape[:2] for k, v in rollout.items()} == dict.fromkeys(rollout, (13, 2))
         ends = rollout["ends"]
@@ -185,6 +186,9 @@ def test_garat_rollout_marks_ends_and_continues_within_episodes(make):
         assert same[~ends[:-1]].all(), "within an episode a successor is the next observation"
         assert not same[ends[:-1]].all(), "across an end it is not"
         assert (rollout["actions"] == 10).all() and rollout["delta"].std() > 0
+    everywhere, nowhere = (policy.calls.count(only) for only in (None, [False, False]))
+    assert policy.calls.count("played") == 26 and everywhere == 27, "each observation is remembered once"
+    assert nowhere == 1, "what the second rollout begins with was seen at the end of the first"
 
 
 # --- the better of two policies -------------------------------------------------------------------------

@@ -1,6 +1,8 @@
 """The teacher on estimates: its own head, memory while it acts, rehearsals, and what a run with it leaves."""
 
+import copy
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from idapt_pl.modules.observation_noise import SlowNoise
 from idapt_pl.rl.policy import Acting, deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
-from idapt_pl.stages.on_estimates import read_episodes, take_over
+from idapt_pl.stages.on_estimates import fit_on_estimates, read_episodes, take_over
+from idapt_pl.stages.schedule import StageLengths
 
 SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
 
@@ -196,6 +199,35 @@ def test_a_run_leaves_rehearsals_with_states_and_a_policy_with_a_filter(run):
     assert all((e.actions[0] == 0).all() and np.abs(e.actions).max() <= 1 for e in episodes)
 
 
+def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeypatch, teacher, policy):
+    """Not of the one that the stage began with."""
+    stages, played = "idapt_pl.stages.on_estimates", []
+
+    def marked(start, number):
+        learned = copy.deepcopy(start)
+        learned.number = number
+        return learned
+
+    monkeypatch.setattr(f"{stages}.rehearse", lambda c, k, name, t, acting, G, F: played.append(acting) or name)
+    monkeypatch.setattr(f"{stages}.fit_encoder_on", lambda c, k, name, files, n, pi: marked(pi, len(files)))
+    monkeypatch.setattr(f"{stages}.fit_filter", lambda c, k, name, files, n, pi: marked(pi, 10 + len(files)))
+    lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
+    learned = fit_on_estimates(None, 0, "", lengths, ["labelled"], teacher, policy)
+    assert played[0] is None and played[1].number == 12 and learned.number == 13
+
+
+def test_a_run_that_lost_its_last_stages_makes_the_same_again(run, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(run, again)
+    kept = (again / "step_01/policy/final.ckpt").read_bytes()
+    for part in ("estimator_teacher", "filter_teacher", "estimator_policy", "filter_policy", "policy"):
+        shutil.rmtree(again / "step_01" / part)
+    for name in ("rehearsal_policy.h5", "rehearsal_policy.json", "evaluation.json"):
+        (again / "step_01" / name).unlink()
+    assert main(["fit", "--config", str(again / "config.yaml")]) == 0
+    assert (again / "step_01/policy/final.ckpt").read_bytes() == kept
+
+
 def test_rehearsals_cost_no_target_interactions(run):
     ledger = json.loads((run / "ledger.json").read_text())["entries"]
     assert sum(e["count"] for e in ledger if e["purpose"] == "training") == 60 + 60
@@ -216,6 +248,8 @@ def test_the_evaluation_says_how_wrong_the_policy_is_about_the_state(run):
         ({"teacher.rehearse": 0, "teacher.dagger": 16}, "a filter learns in rehearsals"),
         ({"teacher.dagger": 16}, "one of"),
         ({"schedule.pretrain.policy": 12}, "SAC does not go on"),
+        ({"schedule.pretrain.filter": 0}, "schedule.pretrain.filter is 0"),
+        ({"schedule.pretrain.rehearsed": 1}, "schedule.pretrain.rehearsed is 1"),
         ({"filter.dropout": 1}, "filter.dropout"),
         ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
           "feeding.garat_start": "identity"}, "a filter needs readings of states"),
