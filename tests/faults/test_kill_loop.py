@@ -18,6 +18,12 @@ from conftest import ROOT, TINY
 KILLS = 13
 """Of each run."""
 TEACHER = {"teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 16}
+ON_ESTIMATES = {
+    "teacher.dagger": 0, "teacher.rehearse": 64, "policy.memory": 8, "filter.stretch": 10, "schedule.source_policy": 0,
+    **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
+       for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
+}  # fmt: skip
+"""Rehearsals in place of DAgger."""
 RUNS = {
     "pendulum_quick": TEACHER
     | {
@@ -27,7 +33,7 @@ RUNS = {
         "effects.candidates": "[body_mass,actuator_delay]",
         "effects.max_effects": 1,
     },
-    "cheetah_quick": TEACHER | {"schedule.exploration": "rehearse", "schedule.grounding_steps": 1},
+    "cheetah_quick": TEACHER | ON_ESTIMATES | {"schedule.exploration": "rehearse", "schedule.grounding_steps": 1},
 }
 """What each has beside TINY: together all stages. Few effects, or most kills would come while they are sought."""
 UNCOMPARED = ("run.json", "config.yaml", "report.html", "events.out", "metrics.csv", "hparams.yaml", ".lock", ".gif")
