@@ -21,6 +21,7 @@ ORDER = (
     "state_predictor",
     "source_teacher",
     "source_student",
+    "source_start",
     "source_rehearsal_teacher",
     "source_estimator_teacher",
     "source_filter_teacher",

@@ -50,10 +50,16 @@ def fit_source_policy(
     initial: AsymmetricSAC | PixelStatePredictor = P_S.P_S
     if c.teacher.settings.rehearse:
         teacher = c.teacher.up_to_date(0, "source_teacher", build, make_env, None)
-        initial = fit_on_estimates(c, 0, "source_", lengths, source, teacher, build())
+        start = c.stages.fit(0, "source_start", build, untrained, 0)  # as a stage, which seeds its filter
+        initial = fit_on_estimates(c, 0, "source_", lengths, source, teacher, start)
     elif c.teacher.settings.steps:
         initial = c.teacher.student(0, "source_", build, make_env)
     return fit_policy(c, 0, "source_policy", make_env, steps, initial, source)
+
+
+def untrained(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
+    """Stands in for the data of a stage of no batches, which asks for none."""
+    raise AssertionError("a stage without batches has no data")
 
 
 def fit_grounded_policy(

@@ -216,16 +216,29 @@ def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeyp
     assert played[0] is None and played[1].number == 12 and learned.number == 13
 
 
-def test_a_run_that_lost_its_last_stages_makes_the_same_again(run, tmp_path):
+def lose(folder, stage):
+    """Make a step forget a stage: its folder, or its file and what tells of it."""
+    shutil.rmtree(folder / stage, ignore_errors=True)
+    for suffix in ("h5", "json"):
+        (folder / f"{stage}.{suffix}").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("step", "prefix", "last"),
+    [(0, "source_", ["source_start", "source_policy", "direct_transfer"]), (1, "", ["policy", "evaluation"])],
+)
+def test_stages_that_are_lost_are_made_again_to_the_bit(step, prefix, last, run, tmp_path):
     again = tmp_path / "again"
     shutil.copytree(run, again)
-    kept = (again / "step_01/policy/final.ckpt").read_bytes()
-    for part in ("estimator_teacher", "filter_teacher", "estimator_policy", "filter_policy", "policy"):
-        shutil.rmtree(again / "step_01" / part)
-    for name in ("rehearsal_policy.h5", "rehearsal_policy.json", "evaluation.json"):
-        (again / "step_01" / name).unlink()
+    folder, policy = again / f"step_{step:02d}", f"{prefix}policy/final.ckpt"
+    kept = (folder / policy).read_bytes()
+    for part in ("teacher", "policy"):
+        for stage in ("rehearsal", "estimator", "filter"):
+            lose(folder, f"{prefix}{stage}_{part}")
+    for stage in last:
+        lose(folder, stage)
     assert main(["fit", "--config", str(again / "config.yaml")]) == 0
-    assert (again / "step_01/policy/final.ckpt").read_bytes() == kept
+    assert (folder / policy).read_bytes() == kept
 
 
 def test_rehearsals_cost_no_target_interactions(run):
