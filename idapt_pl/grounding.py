@@ -17,6 +17,7 @@ from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.dynamics import fit_F
 from idapt_pl.stages.encoder import fit_encoder
+from idapt_pl.stages.labels import labelled_images
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
 from idapt_pl.stages.repair import SourceRepair
 from idapt_pl.stages.rollback import Rollback
@@ -106,7 +107,8 @@ class IterativeGrounding:
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S)
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
-        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, D_S)
+        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi)
+        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
@@ -120,7 +122,8 @@ class IterativeGrounding:
         F_before = None if repaired else g.F  # else it was F of another source
         F = self.ground_actions(k, D_T, G, pi, F_before)
         F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
-        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, self.recent(D_S))
+        labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi)
+        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled)
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:

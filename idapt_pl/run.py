@@ -32,7 +32,7 @@ from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation, TeacherSettings
 from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, ModuleFactories
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings, ModuleFactories
 from idapt_pl.tasks import TASKS, make_task
 from idapt_pl.worlds import Worlds
 
@@ -56,6 +56,7 @@ SETTINGS: dict[str, type] = {
     "feeding": BatchSettings,
     "teacher": TeacherSettings,
     "filter": FilterSettings,
+    "labels": LabelSettings,
     "vision": Vision,
 }
 """Everything else that a config sets, by its key."""
@@ -79,10 +80,9 @@ class RunConfig:
         oracle: also train the oracle reference in the target.
         view: the part of the camera's image that is rendered.
         schedule: what Algorithm 1 does, and for how long.
-        effects: whether effects are sought that the source lacks.
-        feeding: sizes of batches and rollouts.
-        teacher: a privileged teacher, if there is one.
+        effects, feeding, teacher: whether effects are sought; sizes of batches and rollouts; a privileged teacher.
         filter: how the policy's filter learns, if it has one.
+        labels: how images of the target get states to learn from, if they do.
         vision: how images are looked at.
         modules: constructor arguments of each of :data:`MODULES`.
     """
@@ -104,6 +104,7 @@ class RunConfig:
     feeding: BatchSettings
     teacher: TeacherSettings
     filter: FilterSettings
+    labels: LabelSettings
     vision: Vision
     modules: dict[str, dict[str, Any]]
 
@@ -219,7 +220,7 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
-        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.schedule)
+        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.labels.members, self.schedule)
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
@@ -265,11 +266,11 @@ class Run:
             task, task.domain("source"), task.domain(config.target), ledger,
             config.image_size, config.frame_stack, config.view, processes,
         )  # fmt: skip
-        if config.effects.discover:  # better said before hours of G
+        if config.effects.discover or config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
-        context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter)
+        context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
         check_modules(context)
         return cls(config, context, aside)
 

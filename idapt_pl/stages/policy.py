@@ -21,7 +21,6 @@ from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.encoder import translated
 from idapt_pl.stages.on_estimates import fit_on_estimates
 from idapt_pl.stages.schedule import StageLengths, length_of
 
@@ -64,11 +63,11 @@ def untrained(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayD
 
 def fit_grounded_policy(
     c: StageContext, step: int, lengths: StageLengths, G: VisualTransformation, F: ActionTransformation | None,
-    pi: AsymmetricSAC, source: Sequence[Path],
+    pi: AsymmetricSAC, labelled: Sequence[Path] = (),
 ) -> AsymmetricSAC:  # fmt: skip
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
-    Where the teacher acts on estimates, they are learned from ``source``, labelled source images, too. With
+    Where the teacher acts on estimates, they are learned from ``labelled``, target-like images with states, too. With
     ``feeding.trial_episodes`` it is put back to what it was if its training did not help in the grounded source.
     """
 
@@ -78,7 +77,6 @@ def fit_grounded_policy(
     initial = pi
     if c.teacher.settings.rehearse:
         teacher = c.teacher.up_to_date(step, "teacher", lambda: c.new_policy(pi), make_env, F)
-        labelled = [translated(c, step, source, G)]
         initial = fit_on_estimates(c, step, "", lengths, labelled, teacher, pi, G, F)
     elif c.teacher.settings.steps:
         initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)

@@ -144,12 +144,13 @@ class Schedule:
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
 
 
-def check_memory(memory: int, rehearse: int, schedule: Schedule) -> None:
+def check_memory(memory: int, rehearse: int, members: int, schedule: Schedule) -> None:
     """A policy with a memory is a teacher on estimates, which are learned in rehearsals.
 
     Args:
         memory: ``policy.memory``.
         rehearse: ``teacher.rehearse``.
+        members: ``labels.members``; encoder and filter learn from labels.
         schedule: whose SAC would go on with it, and which says how long encoder and filter learn.
 
     Raises:
@@ -159,6 +160,11 @@ def check_memory(memory: int, rehearse: int, schedule: Schedule) -> None:
         raise ValueError(
             f"policy.memory is {memory}, but teacher.rehearse is {rehearse}: a filter learns in rehearsals, and "
             "they are for a filter. Give both, or neither."
+        )
+    if members and not memory:
+        raise ValueError(
+            f"labels.members is {members}, but encoder and filter learn from labels only where teacher.rehearse and "
+            "policy.memory are given. Give all three, or set labels.members to 0."
         )
     if not memory:
         return

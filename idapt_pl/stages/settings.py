@@ -70,6 +70,24 @@ class BatchSettings:
 
 
 @dataclass(frozen=True)
+class LabelSettings:
+    """How real images of the target get states to learn from (:mod:`~idapt_pl.stages.labels`). Off by default.
+
+    Args:
+        members: simulations of the source that follow a recording, each a guess of the robot's state; 0 labels nothing.
+        lag: control steps for which a state goes on being corrected by what is read later.
+    """
+
+    members: int = 0
+    lag: int = 8
+
+    def __post_init__(self) -> None:
+        check_ranges("labels", vars(self), {"members": COUNT_OR_NONE, "lag": Range(0, 1000)})
+        if self.members == 1:
+            raise ValueError("labels.members is 1: one guess has no spread. Give 0 for no labels, or about 100")
+
+
+@dataclass(frozen=True)
 class FilterSettings:
     """How the filter between encoder and head learns (:class:`.FilterTraining`); ``policy.memory`` is its size.
 

@@ -60,8 +60,8 @@ class Task(ABC):
             ValueError: where states do not tell.
         """
         raise ValueError(
-            f"effects.discover replays positions, which the states of {self.name} do not tell. "
-            "Set effects.discover: false."
+            f"effects.discover and labels.members need positions, which the states of {self.name} do not tell. "
+            "Set effects.discover: false and labels.members: 0."
         )
 
     @abstractmethod

@@ -167,7 +167,8 @@ def test_errors_of_readings_and_estimates_are_measured_in_units(env, policy):
 
 ON_ESTIMATES = TINY | {
     "teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 0, "teacher.rehearse": 64, "teacher.noise": 0.1,
-    "policy.memory": 8, "filter.stretch": 10, "schedule.grounding_steps": 1, "schedule.source_policy": 0,
+    "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "labels.lag": 2,
+    "schedule.grounding_steps": 1, "schedule.source_policy": 0,
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
     "threads": 1, "side_by_side": "false",
@@ -197,6 +198,22 @@ def test_a_run_leaves_rehearsals_with_states_and_a_policy_with_a_filter(run):
     episodes = read_episodes(loaded, [run / "step_01/rehearsal_policy.h5"])
     assert all(e.readings.shape == e.states.shape and len(e.actions) == len(e.states) for e in episodes)
     assert all((e.actions[0] == 0).all() and np.abs(e.actions).max() <= 1 for e in episodes)
+
+
+def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
+    from datamodules import read_trajectories
+
+    shown = [e for k in (0, 1) for e in read_trajectories(run / f"step_{k:02d}/target.h5")]
+    assert not any("state" in e.observations for e in shown), "recordings of the target hold no states"
+    labelled = read_trajectories(run / "step_01/labelled.h5")
+    assert 0 < labelled.total_steps <= sum(map(len, shown))
+    frames = np.concatenate([e.observations["pixels"] for e in labelled])
+    known = {frame.tobytes() for e in shown for frame in e.observations["pixels"]}
+    assert {frame.tobytes() for frame in frames} <= known
+    assert all(np.isfinite(e.observations["state"]).all() for e in labelled)
+    tried = json.loads((run / "step_01/reading_errors.json").read_text())
+    best = min(tried["forecast_errors"], key=lambda pair: pair[1])
+    assert tried["factor"] == best[0] and len(tried["forecast_errors"]) > 3
 
 
 def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeypatch, teacher, policy):
@@ -232,6 +249,8 @@ def test_stages_that_are_lost_are_made_again_to_the_bit(step, prefix, last, run,
     shutil.copytree(run, again)
     folder, policy = again / f"step_{step:02d}", f"{prefix}policy/final.ckpt"
     kept = (folder / policy).read_bytes()
+    if not prefix:
+        last = [*last, "labelled", "reading_errors"]
     for part in ("teacher", "policy"):
         for stage in ("rehearsal", "estimator", "filter"):
             lose(folder, f"{prefix}{stage}_{part}")
@@ -264,6 +283,8 @@ def test_the_evaluation_says_how_wrong_the_policy_is_about_the_state(run):
         ({"schedule.pretrain.filter": 0}, "schedule.pretrain.filter is 0"),
         ({"schedule.pretrain.rehearsed": 1}, "schedule.pretrain.rehearsed is 1"),
         ({"filter.dropout": 1}, "filter.dropout"),
+        ({"labels.members": 1}, "one guess has no spread"),
+        ({"labels.members": 8, "policy.memory": 0, "teacher.rehearse": 0, "teacher.dagger": 16}, "Give all three"),
         ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
           "feeding.garat_start": "identity"}, "a filter needs readings of states"),
     ],

@@ -1,0 +1,119 @@
+"""States for real images of the target, by the repaired source's physics: nothing of the target's own is known."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from datamodules import Episode, Trajectories
+from datamodules.stacks import FrameStacks
+from datamodules.unpaired import read_all
+from idapt_pl.image_diagnosis.calibration import sub_episode, true_runs
+from idapt_pl.image_diagnosis.sensor import estimate_states
+from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model
+from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.encoder import translated
+
+log = logging.getLogger(__name__)
+
+
+def labelled_images(
+    c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
+    F: ActionTransformation | None, pi: AsymmetricSAC,
+) -> list[Path]:  # fmt: skip
+    """Trajectory files with target-like images and states: source images through G, and the target's own by physics.
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        source: trajectory files with images and states.
+        target: trajectory files with images.
+        G: shows source images as target images.
+        F: what the source plays for an action of the target; None is the identity.
+        pi: its encoder reads target images.
+    """
+    if not c.teacher.settings.rehearse:
+        return []  # nothing learns from them
+    known = translated(c, step, source, G)
+    return [known, *label_target(c, step, target, known, pi.estimator(G), F)]
+
+
+def label_target(
+    c: StageContext,
+    step: int,
+    target: Sequence[Path],
+    known: Path,
+    sensor: PixelStatePredictor,
+    F: ActionTransformation | None = None,
+) -> list[Path]:
+    """``labelled.h5``: the target's recordings with the states that readings and physics agree on; none if it is off.
+
+    Readings of single images are off in ways that no source image shows. But the same actions, played in the source,
+    say which of the states that are read can follow one another (:mod:`idapt_pl.smoothing`).
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        target: trajectory files, of which images and actions are used.
+        known: trajectory file with target-like images whose states are known; says how wrong readings are at least.
+        sensor: reads target images.
+        F: what the source plays for an action of the target; None is the identity.
+    """
+    if not c.labels.members:
+        return []
+    data, threads = read_all(target), torch.get_num_threads()
+    task, domain = c.worlds.task, c.worlds.source_domain
+    images = read_all([known], also="state")
+    read = np.concatenate([r.readings for r in recordings_of(images, sensor, c.worlds.frame_stack)])
+    states = np.concatenate([e.observations["state"] for e in images])
+    expected, scale = reading_model(task, domain, read, states), states.std(0) + 1e-9
+    smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, threads)
+    recordings = recordings_of(data, sensor, c.worlds.frame_stack, F)
+
+    def factors(seed: int) -> dict:
+        errors = smooth.forecast_errors(recordings, scale, seed)
+        return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
+
+    def make(seed: int) -> Trajectories:
+        return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
+
+    factor = c.stages.measure(step, "reading_errors", factors)["factor"]
+    return [c.stages.record(step, "labelled", make)[0]]
+
+
+def recordings_of(
+    data: Trajectories, sensor: PixelStatePredictor, frame_stack: int, F: ActionTransformation | None = None
+) -> list[ReadRecording]:
+    """Recordings as a sensor reads them, with what the source plays for their actions."""
+    recordings = []
+    for episode in data:
+        images, actions = FrameStacks([episode], frame_stack), episode.actions
+        if F is not None:
+            actions = F.transform(images.stacks(np.arange(len(episode))), actions)
+        recordings.append(ReadRecording(estimate_states(images, sensor), actions.astype(float)))
+    return recordings
+
+
+def labelled(data: Trajectories, smoothed: Sequence[Smoothed], lag: int) -> Trajectories:
+    """Recordings with smoothed states, without what is near where it was lost; warns of much."""
+    kept: list[Episode] = []
+    for episode, found in zip(data, smoothed, strict=True):
+        unsure = np.convolve(found.lost, np.ones(2 * lag + 1))[lag : lag + len(found.lost)] > 0.5
+        states = {"state": found.states.astype(np.float32), "pixels": episode.observations["pixels"]}
+        whole = Episode(episode.actions, states)
+        kept += [sub_episode(whole, *run) for run in true_runs(~unsure)]
+    count, lost = sum(len(e) + 1 for e in kept), sum(int(s.lost.sum()) for s in smoothed)
+    log.info("%d of %d target frames labelled; the state was lost %d times", count, data.total_steps + len(data), lost)
+    if count < data.total_steps / 2:
+        log.warning(
+            "the source's physics and what is read of the target's images often disagree: look at translated.h5 and at "
+            "the effects found, as G or the source is off"
+        )
+    return replace(data, episodes=tuple(kept), source=f"{data.source}, states by smoothing")

@@ -1,0 +1,117 @@
+"""States of recordings: found again where they are known, and told to be lost where physics and readings disagree."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.smoothing import (
+    FixedLagSmoother,
+    ReadRecording,
+    RecordingSmoother,
+    SimulatedEnsemble,
+    reading_model,
+)
+from idapt_pl.tasks import make_task
+
+
+@pytest.fixture(scope="module")
+def task():
+    return make_task("half_cheetah")
+
+
+def played(task, domain, steps, seed):
+    """States (T+1, s) and actions (T, nu) of slow random actions."""
+    rng = np.random.default_rng(seed)
+    env = VectorStateEnv(task, domain, 1)
+    obs, _ = env.reset(seed=seed)
+    states, actions, action = [obs["state"][0]], [], np.zeros(6)
+    for _ in range(steps):
+        action = np.clip(0.7 * action + 0.6 * rng.normal(size=6), -1, 1)
+        states.append(env.step(action[None].astype(np.float32))[0]["state"][0])
+        actions.append(action)
+    env.close()
+    return np.asarray(states, float), np.asarray(actions)
+
+
+@pytest.fixture(scope="module")
+def recording(task):
+    """True states, and what a sensor reads of them with errors of a tenth of their spread."""
+    states, actions = played(task, task.domain("source"), 60, 3)
+    error = 0.25 * states.std(0)
+    readings = states + error * np.random.default_rng(4).normal(size=states.shape)
+    return states, error, ReadRecording(readings, actions)
+
+
+def expected_of(task, states, error):
+    rng = np.random.default_rng(5)
+    rows = np.repeat(states, 4, 0)
+    return reading_model(task, task.domain("source"), rows + error * rng.normal(size=rows.shape), rows)
+
+
+def relative(error, states):
+    return float(np.mean(np.abs(error) / states.std(0)))
+
+
+def test_errors_of_readings_are_measured(task, recording):
+    states, error, _ = recording
+    np.testing.assert_allclose(expected_of(task, states, error).error, error, rtol=0.25)
+
+
+def test_physics_takes_most_of_the_readings_errors_off(task, recording):
+    states, error, read = recording
+    expected = expected_of(task, states, error)
+    smoothed = RecordingSmoother(task, task.domain("source"), expected, 64, 6)([read], 0)[0]
+    before, after = relative(read.readings - states, states), relative(smoothed.states - states, states)
+    assert after < 0.6 * before
+    assert not smoothed.lost.any() and smoothed.spread.shape == states.shape
+    ahead = RecordingSmoother(task, task.domain("source"), expected, 64, 0)([read], 0)[0]
+    assert after < relative(ahead.states - states, states), "what comes later tells something too"
+
+
+def test_physics_of_another_robot_helps_less(task, recording):
+    states, error, read = recording
+    expected = expected_of(task, states, error)
+    heavy = task.domain("source").with_effects(BodyMass("torso", 30.0))
+    right, wrong = (
+        RecordingSmoother(task, domain, expected, 64, 6)([read], 0)[0] for domain in (task.domain("source"), heavy)
+    )
+    assert np.abs(wrong.surprise / states.std(0)).mean() > 1.1 * np.abs(right.surprise / states.std(0)).mean()
+
+
+def test_how_wrong_readings_are_is_told_by_how_well_they_are_forecast(task, recording):
+    states, error, read = recording
+    expected = expected_of(task, states, error)
+    scale = states.std(0)
+    optimist = replace(expected, error=expected.error / 4)  # as if source frames were read four times as well
+    for assumed, low, high in ((expected, 1, 1.5), (optimist, 3, 6)):
+        errors = RecordingSmoother(task, task.domain("source"), assumed, 64, 0).forecast_errors([read], scale, 0)
+        assert low <= min(errors, key=errors.__getitem__) <= high
+
+
+def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):
+    states, error, read = recording
+    error = error / 5
+    shown, actions = states.copy(), read.actions.copy()
+    shown[30:], actions[30:] = states[:31], actions[:30]  # all at once it is where it was when it began
+    readings = shown + error * np.random.default_rng(0).normal(size=shown.shape)
+    ensemble = SimulatedEnsemble(task, task.domain("source"), 64)
+    found = FixedLagSmoother(ensemble, expected_of(task, states, error), 6)(readings, actions, 0)
+    assert np.flatnonzero(found.lost).tolist() == [30]
+    assert relative(found.states - shown, states) < relative(readings - shown, states)
+
+
+def test_threads_and_neighbours_change_nothing(task, recording):
+    states, error, read = recording
+    expected, short = expected_of(task, states, error), recording[2].first(12)
+    alone = RecordingSmoother(task, task.domain("source"), expected, 16, 3)([short], 0)[0]
+    both = RecordingSmoother(task, task.domain("source"), expected, 16, 3, threads=2)([short, read.first(8)], 0)
+    np.testing.assert_array_equal(alone.states, both[0].states)
+
+
+def test_tasks_whose_states_tell_no_positions_say_so():
+    task = make_task("fetch_reach")
+    with pytest.raises(ValueError, match=r"labels\.members"):
+        SimulatedEnsemble(task, task.domain("source"), 2).begin(np.zeros((2, 16)))
