@@ -25,17 +25,19 @@ class DiscoverySettings:
     """Whether and how the loop looks for effects that the source lacks.
 
     Args:
-        discover: look for them in every grounding step and add what is found to the source.
+        discover: look for them and add what is found to the source.
         candidates: names of the effects to consider.
         max_effects: stop after so many in a grounding step.
         looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
             frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
+        every_step: look again in every grounding step; False looks in the task-agnostic data alone.
     """
 
     discover: bool = False
     candidates: tuple[str, ...] = DEFAULT_CANDIDATES
     max_effects: int = 2
     looks: bool = False
+    every_step: bool = True
 
     def __post_init__(self) -> None:
         check_ranges("effects", vars(self), {"max_effects": Range(1, 100)})

@@ -38,6 +38,8 @@ ORDER = (
     "effects",
     "dynamics",
     "selection",
+    "reading_errors",
+    "labelled",
     "teacher",
     "student",
     "rehearsal_teacher",
@@ -64,6 +66,7 @@ class StepRecord:
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
         selection: whether F was kept, as in ``selection.json``.
+        labels: how wrong readings of the target are taken to be, as in ``reading_errors.json``.
         convergence: whether anything was left to learn, as in ``convergence.json``.
         visual_effects: what its pictures were found to lack (``looks.json``); likewise.
         training: of the policy, as in its ``stage.json``: whether it was put back to what it was before.
@@ -77,6 +80,7 @@ class StepRecord:
     evaluation: dict
     diagnosis: ImageDiagnosis | None
     selection: dict
+    labels: dict
     convergence: dict
     visual_effects: VisualEffects | None
     training: dict
@@ -210,6 +214,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
         selection=files.read(folder / "selection.json"),
+        labels=files.read(folder / "reading_errors.json"),
         convergence=files.read(folder / "convergence.json"),
         visual_effects=files.read_as(folder / "looks.json", VisualEffects.from_dict),
         training=files.read(folder / "policy/stage.json"),

@@ -64,6 +64,11 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
             f"Training made the policy worse in the grounded source ({metric} {before} before, {after} after): it was "
             "put back."
         )
+    if step.labels:
+        sentences.append(
+            "The target's own images got states by physics, for which their readings were taken to be "
+            f"{format_number(step.labels['factor'])} times as wrong as those of source images that G shows."
+        )
     if step.selection:
         sentences.append(RollbackDecision.from_dict(step.selection).sentence + ".")
     return sentences + away

@@ -45,7 +45,7 @@ class SourceRepair:
 
         Images are read by π's estimator. What it makes of new recordings of the source says how well.
         """
-        if not self.settings.discover:
+        if not self.settings.discover or (k and not self.settings.every_step):
             return False
         worlds = self.context.worlds
         target = list(D_T) if k == 0 else [D_T[0], D_T[-1]]
