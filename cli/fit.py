@@ -25,6 +25,7 @@ from idapt_pl.files import read_yaml
 from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run, RunConfig
 from idapt_pl.run_folder.kept_config import without_retired
+from idapt_pl.run_folder.time_left import TimeLeft, expected_seconds
 from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.schedule import fill_lengths
@@ -143,6 +144,8 @@ def main(args: list[str]) -> int:
     grounding = run.grounding  # settings that contradict each other end it here, where nothing is written yet
     with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
+        beside = isinstance(run.aside, OtherProcesses)
+        run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))
         run.restore_ledger()
         evaluations = grounding.run()
         summary = run.evaluation.summary(evaluations)

@@ -24,6 +24,7 @@ from idapt_pl.cores import FreeCores
 from idapt_pl.files import blaming, read_json, sha256, verify, write_bytes, write_json
 from idapt_pl.health import Health, check_weights
 from idapt_pl.run_folder.results import read_result
+from idapt_pl.run_folder.time_left import TimeLeft, in_words
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
@@ -73,7 +74,12 @@ class Stages:
         seed: the run's seed; each stage derives its own.
         make_trainer: a fresh Trainer, since a Trainer's counters survive a fit.
         threads: that a stage computes with; None for as many as there are free cores.
+
+    Attributes:
+        time_left: is told of every stage, so that the log says how long the rest takes; None says nothing.
     """
+
+    time_left: TimeLeft | None = None
 
     def __init__(self, run_dir: Path, seed: int, make_trainer: MakeTrainer, threads: int | None = None) -> None:
         self.run_dir, self.seed, self.make_trainer, self.cores = run_dir, seed, make_trainer, FreeCores(threads)
@@ -112,6 +118,7 @@ class Stages:
         final = folder / "final.ckpt"
         if final.exists():
             log.info("step %d  %-16s done before, loaded from %s", step, name, final)
+            self._left(step, name, None)
             return load_finished(module, final)
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
         started, notes = time.perf_counter(), {}
@@ -132,7 +139,8 @@ class Stages:
         about["sha256"] = hashlib.sha256(weights).hexdigest()
         write_json(folder / "stage.json", about | notes, checked=True)
         write_bytes(final, weights)
-        log.info("step %d  %-16s %5d batches  %6.1f s  -> %s", step, name, batches, seconds, final)
+        left = self._left(step, name, seconds)
+        log.info("step %d  %-16s %5d batches  %6.1f s  -> %s%s", step, name, batches, seconds, final, left)
         return module.cpu().eval()
 
     def record(self, step: int, name: str, make: Callable[[int], Trajectories]) -> tuple[Path, int]:
@@ -151,9 +159,10 @@ class Stages:
             seconds = time.perf_counter() - started
             about = {"step": step, "stage": name, "wall_s": round(seconds, 2), "sha256": sha256(path)}
             write_json(path.with_suffix(".json"), about, checked=True)
-            log.info("step %d  %-16s %6.1f s  -> %s", step, name, seconds, path)
+            log.info("step %d  %-16s %6.1f s  -> %s%s", step, name, seconds, path, self._left(step, name, seconds))
         else:
             verify(path)
+            self._left(step, name, None)
         with blaming(path):
             return path, count_steps(path)
 
@@ -170,9 +179,20 @@ class Stages:
             seed = stage_seed(self.seed, step, name)
             L.seed_everything(seed, verbose=False)
             result = make(seed)
-            timing = {"step": step, "stage": name, "wall_s": round(time.perf_counter() - started, 2)}
+            seconds = time.perf_counter() - started
+            timing = {"step": step, "stage": name, "wall_s": round(seconds, 2)}
             write_json(path, timing | result, checked=True)
+            log.info("step %d  %-16s %6.1f s  -> %s%s", step, name, seconds, path, self._left(step, name, seconds))
+        else:
+            self._left(step, name, None)
         return self.read(step, name)
+
+    def _left(self, step: int, name: str, seconds: float | None) -> str:
+        """How long the rest of the run takes, after a stage; nothing if it was done before."""
+        if self.time_left is None:
+            return ""
+        left = self.time_left.done(step, name, seconds)
+        return f"  (about {in_words(left)} left)" if seconds is not None and left > 0 else ""
 
     def read(self, step: int, name: str) -> dict:
         """The JSON result of something that was measured.
