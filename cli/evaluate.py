@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from cli.arguments import parser
+from datamodules.unpaired import read_all
+from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.files import write_json
-from idapt_pl.ranges import SEED, Range, check_ranges
+from idapt_pl.ranges import COUNT_OR_NONE, SEED, Range, check_ranges
+from idapt_pl.rl.physics_observer import ActingByPhysics
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.run import Run
 from idapt_pl.run_folder.interactions import later_entries
+from idapt_pl.stages.labels import smoother_of
 from idapt_pl.stages.schedule import length_of
 
 
@@ -22,17 +27,25 @@ def main(args: list[str]) -> int:
     p.add_argument("--run", type=Path, required=True, help="run folder")
     p.add_argument("--episodes", type=int, default=100, help="episodes for each return")
     p.add_argument("--seed", type=int, default=12345, help="of the episodes' starts")
+    p.add_argument(
+        "--physics",
+        type=int,
+        default=0,
+        metavar="MEMBERS",
+        help="also let policies act on states that so many simulations of the repaired source agree on with what is "
+        "read of the images, in place of their filter; about 100",
+    )
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
-    values = {"--episodes": o.episodes, "--seed": o.seed}
-    check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED})
+    values = {"--episodes": o.episodes, "--seed": o.seed, "--physics": o.physics}
+    check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED, "--physics": COUNT_OR_NONE})
     run = Run.open(o.run)
     run.restore_ledger()
     result = {
         "run": str(o.run),
         "episodes": o.episodes,
         "seed": o.seed,
-        "policies": measure_policies(run, o.episodes, o.seed),
+        "policies": measure_policies(run, o.episodes, o.seed, o.physics),
     }
     path = o.run / f"evaluation_{o.episodes}_{o.seed}.json"
     write_json(path, result, checked=True)
@@ -48,8 +61,8 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
-    """Returns of every policy the run has kept."""
+def measure_policies(run: Run, episodes: int, seed: int, members: int = 0) -> dict[str, dict]:
+    """Returns of every policy the run has kept; with ``members`` also of those in the target that act by physics."""
     worlds = run.worlds
     results: dict[str, dict] = {}
     for name, path in finished_policies(run):
@@ -61,7 +74,28 @@ def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
         for domain, env in envs.items():
             with closing(env):
                 results[name][domain] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
+        if members and (by_physics := acting_by_physics(run, path, members)) is not None:
+            with closing(worlds.rewarded_target(min(episodes, 25))) as env:
+                errors = EstimateErrors(by_physics)
+                found = evaluate(env, by_physics, episodes, seed, errors).to_dict()
+            results[f"{name}, by physics"] = {"target": found | {"state_errors": errors.to_dict()}}
     return results
+
+
+def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysics | None:
+    """A grounding step's policy on states by physics; None where its step has no labelled images of the target.
+
+    How wrong readings are is told by the recordings of its step: images and actions.
+    """
+    folder = checkpoint.parent.parent
+    if checkpoint.parent.name != "policy" or not (folder / "translated.h5").exists():
+        return None
+    c, policy = run.context, run.load_policy(checkpoint)
+    target = read_all([folder / "target.h5"])
+    smooth, recordings, scale = smoother_of(c, target, folder / "translated.h5", policy.actor.encoder, None)
+    smooth = replace(smooth, members=members)
+    errors = smooth.forecast_errors(recordings, scale, seed=0)
+    return ActingByPhysics(policy, smooth.supposing(min(errors, key=errors.__getitem__)))
 
 
 def finished_policies(run: Run) -> list[tuple[str, Path]]:

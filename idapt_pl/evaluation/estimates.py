@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from idapt_pl.envs.image_env import Observations
-from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.policy import Acting
 
@@ -34,12 +33,10 @@ class EstimateErrors:
     def to_dict(self) -> dict:
         """Mean absolute errors of each component of the state, in its units.
 
-        ``readings`` is what a stack of frames tells, ``estimates`` what the filter makes of it; ``lost`` is the share
-        of steps in which it lost the state.
+        ``readings`` is what a stack of frames tells, ``estimates`` what filter or physics make of it; ``lost`` is
+        the share of steps in which they lost the state.
         """
         found = {name: np.mean(each, 0, dtype=float).round(4).tolist() for name, each in self._errors.items() if each}
-        module = self.act.module
-        if not found or not isinstance(module, AsymmetricSAC) or module.filter is None or self.act.memory is None:
+        if not found or self.act.lost is None:
             return {"readings": found["readings"]} if found else {}
-        memory = self.act.memory
-        return found | {"lost": round(float(memory.lost.sum()) / max(1, memory.steps * len(memory.lost)), 4)}
+        return found | {"lost": round(self.act.lost, 4)}

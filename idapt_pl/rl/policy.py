@@ -77,6 +77,13 @@ class Acting:
         if self.memory is not None:
             self.memory.action = self.module.actor.normalise(actions)
 
+    @property
+    def lost(self) -> float | None:
+        """Share of the steps so far in which what it remembers was lost; None if it remembers nothing."""
+        if self.memory is None:
+            return None
+        return float(self.memory.lost.sum()) / max(1, self.memory.steps * len(self.memory.lost))
+
     def tick(self, ended: np.ndarray) -> None:
         """A control step has passed; episodes that ended are forgotten."""
         if self.memory is not None and ended.any():

@@ -1,15 +1,16 @@
 """States of recordings that show images alone: what a sensor reads, held together by a model's physics and actions."""
 
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
-from idapt_pl.smoothing.fixed_lag import FixedLagSmoother, ReadingModel, Smoothed
+from idapt_pl.smoothing.fixed_lag import EnsembleFilter, ReadingModel, Smoothed, smooth_episode
 from idapt_pl.smoothing.recordings import ReadRecording, RecordingSmoother, reading_model
 
 __all__ = [
-    "FixedLagSmoother",
+    "EnsembleFilter",
     "ReadRecording",
     "ReadingModel",
     "RecordingSmoother",
     "SimulatedEnsemble",
     "Smoothed",
     "reading_model",
+    "smooth_episode",
 ]

@@ -54,66 +54,69 @@ class Smoothed:
     lost: np.ndarray
 
 
-class FixedLagSmoother:
-    """Moves an ensemble by the actions of a recording, and corrects it, and its last states, by every reading.
+class EnsembleFilter:
+    """An ensemble that actions move and readings correct, with its last states (Evensen and van Leeuwen 2000).
 
-    After Evensen and van Leeuwen (2000). Past states are corrected by what covaries with the newest reading.
+    Past states are corrected by what covaries with the newest reading.
 
     Args:
         ensemble: simulations of the model.
         expected: of readings and model.
         lag: control steps for which a state goes on being corrected.
+        seed: of the ensemble.
+
+    Attributes:
+        past: the newest states and those up to ``lag`` before, the oldest first, (n, s) each.
     """
 
-    def __init__(self, ensemble: SimulatedEnsemble, expected: ReadingModel, lag: int) -> None:
+    def __init__(self, ensemble: SimulatedEnsemble, expected: ReadingModel, lag: int, seed: int) -> None:
         self.ensemble, self.expected, self.lag = ensemble, expected, lag
+        self.past: list[np.ndarray] = []
+        self._rng = np.random.default_rng(seed)
 
-    def __call__(self, readings: np.ndarray, actions: np.ndarray, seed: int) -> Smoothed:
-        """Smooth an episode: readings of the state (T+1, s), actions between them (T, nu)."""
-        with silence_mujoco():
-            return self._smooth(readings, actions, np.random.default_rng(seed))
+    def begin(self, reading: np.ndarray) -> None:
+        """Forget everything and begin about a reading (s,)."""
+        noise = self._rng.normal(size=(len(self.ensemble), len(reading)))
+        self.past, self._guesses = [], self.ensemble.begin(reading + self.expected.error * noise)
 
-    def _smooth(self, readings: np.ndarray, actions: np.ndarray, rng: np.random.Generator) -> Smoothed:
-        T = len(readings)
-        states, spread, surprise = (np.zeros(readings.shape) for _ in range(3))
-        out, past = Smoothed(states, spread, surprise, np.zeros(T, bool)), list[np.ndarray]()
-        guesses = self._begin(readings[0], rng)
-        for t in range(T):
-            if t:
-                guesses = self._forecast(guesses, actions[t - 1], rng)
-            seen = self.ensemble.states(guesses)
-            out.surprise[t] = readings[t] - seen.mean(0)
-            if t and self._is_lost(out.surprise[t], seen):
-                out.lost[t], past = True, []
-                guesses = self._begin(readings[t], rng)
-                seen = self.ensemble.states(guesses)
-            guesses, past = self._correct(guesses, [*past, seen][-self.lag - 1 :], readings[t], rng)
-            for back, states in enumerate(reversed(past)):
-                out.states[t - back], out.spread[t - back] = states.mean(0), states.std(0)
-        return out
-
-    def _begin(self, reading: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Guesses about one reading."""
-        noise = rng.normal(size=(len(self.ensemble), len(reading)))
-        return self.ensemble.begin(reading + self.expected.error * noise)
-
-    def _forecast(self, guesses: np.ndarray, action: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Guesses after an action."""
-        self.ensemble.put(guesses)
+    def play(self, action: np.ndarray) -> None:
+        """A control step with an action (nu,) has passed."""
+        self.ensemble.put(self._guesses)
         after = self.ensemble.advance(action)
-        after = after + self.expected.drift * rng.normal(size=after.shape)
-        return after.mean(0) + SPREAD * (after - after.mean(0))
+        after = after + self.expected.drift * self._rng.normal(size=after.shape)
+        self._guesses = after.mean(0) + SPREAD * (after - after.mean(0))
 
-    def _correct(
-        self, guesses: np.ndarray, past: list[np.ndarray], reading: np.ndarray, rng: np.random.Generator
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Guesses, and the states of the last steps, by a reading, of which the last of ``past`` is expected."""
-        together = np.concatenate([guesses, *past], 1)
-        better = corrected(together, past[-1], reading, self.expected.error, rng)
-        guesses, flat = np.split(better, [guesses.shape[1]], axis=1)
-        return guesses, list(np.split(flat, len(past), axis=1))
+    def take_in(self, reading: np.ndarray) -> tuple[np.ndarray, bool]:
+        """A reading (s,) has come. Returns how far it is from what was expected, (s,), and whether the state was lost.
+
+        Where it was the ensemble begins anew with the reading.
+        """
+        seen = self.ensemble.states(self._guesses)
+        surprise = reading - seen.mean(0)
+        lost = bool(self.past) and self._is_lost(surprise, seen)
+        if lost:
+            self.begin(reading)
+            seen = self.ensemble.states(self._guesses)
+        past = [*self.past, seen][-self.lag - 1 :]
+        better = corrected(np.concatenate([self._guesses, *past], 1), seen, reading, self.expected.error, self._rng)
+        self._guesses, flat = np.split(better, [self._guesses.shape[1]], axis=1)
+        self.past = list(np.split(flat, len(past), axis=1))
+        return surprise, lost
 
     def _is_lost(self, surprise: np.ndarray, seen: np.ndarray) -> bool:
         """Whether a reading is further from what is expected than can be."""
         usual = np.sqrt(seen.var(0) + np.square(self.expected.error))
         return bool(np.mean(np.minimum(np.abs(surprise) / usual, 3 * FARTHEST_OFF)) > FARTHEST_OFF)
+
+
+def smooth_episode(known: EnsembleFilter, readings: np.ndarray, actions: np.ndarray) -> Smoothed:
+    """A whole episode through a filter: readings of the state (T+1, s), actions between them (T, nu)."""
+    states, spread, surprise = (np.zeros(readings.shape) for _ in range(3))
+    out = Smoothed(states, spread, surprise, np.zeros(len(readings), bool))
+    with silence_mujoco():
+        for t, reading in enumerate(readings):
+            known.play(actions[t - 1]) if t else known.begin(reading)
+            surprise[t], out.lost[t] = known.take_in(reading)
+            for back, guesses in enumerate(reversed(known.past)):
+                states[t - back], spread[t - back] = guesses.mean(0), guesses.std(0)
+    return out

@@ -11,7 +11,14 @@ import numpy as np
 from idapt_pl.diagnosis.data import position_difference
 from idapt_pl.effects import Domain
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
-from idapt_pl.smoothing.fixed_lag import POSITION_NOISE, VELOCITY_NOISE, FixedLagSmoother, ReadingModel, Smoothed
+from idapt_pl.smoothing.fixed_lag import (
+    POSITION_NOISE,
+    VELOCITY_NOISE,
+    EnsembleFilter,
+    ReadingModel,
+    Smoothed,
+    smooth_episode,
+)
 from idapt_pl.tasks import Task
 
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
@@ -77,8 +84,8 @@ class RecordingSmoother:
 
         def smooth(k: int) -> Smoothed:
             ensemble = SimulatedEnsemble(self.task, self.domain, self.members)
-            smoother = FixedLagSmoother(ensemble, self.expected, self.lag)
-            return smoother(recordings[k].readings, recordings[k].actions, seed + k)
+            known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k)
+            return smooth_episode(known, recordings[k].readings, recordings[k].actions)
 
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(smooth, range(len(recordings))))

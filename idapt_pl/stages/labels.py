@@ -68,14 +68,8 @@ def label_target(
     """
     if not c.labels.members:
         return []
-    data, threads = read_all(target), torch.get_num_threads()
-    task, domain = c.worlds.task, c.worlds.source_domain
-    images = read_all([known], also="state")
-    read = np.concatenate([r.readings for r in recordings_of(images, sensor, c.worlds.frame_stack)])
-    states = np.concatenate([e.observations["state"] for e in images])
-    expected, scale = reading_model(task, domain, read, states), states.std(0) + 1e-9
-    smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, threads)
-    recordings = recordings_of(data, sensor, c.worlds.frame_stack, F)
+    data = read_all(target)
+    smooth, recordings, scale = smoother_of(c, data, known, sensor, F)
 
     def factors(seed: int) -> dict:
         errors = smooth.forecast_errors(recordings, scale, seed)
@@ -86,6 +80,19 @@ def label_target(
 
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
     return [c.stages.record(step, "labelled", make)[0]]
+
+
+def smoother_of(
+    c: StageContext, target: Trajectories, known: Path, sensor: PixelStatePredictor, F: ActionTransformation | None
+) -> tuple[RecordingSmoother, list[ReadRecording], np.ndarray]:
+    """A smoother that takes readings to be as wrong as on ``known``, what is read of the target, and states' spread."""
+    images = read_all([known], also="state")
+    read = np.concatenate([r.readings for r in recordings_of(images, sensor, c.worlds.frame_stack)])
+    states = np.concatenate([e.observations["state"] for e in images])
+    task, domain = c.worlds.task, c.worlds.source_domain
+    expected = reading_model(task, domain, read, states)
+    smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, torch.get_num_threads())
+    return smooth, recordings_of(target, sensor, c.worlds.frame_stack, F), states.std(0) + 1e-9
 
 
 def recordings_of(

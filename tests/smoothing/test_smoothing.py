@@ -8,11 +8,12 @@ import pytest
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.smoothing import (
-    FixedLagSmoother,
+    EnsembleFilter,
     ReadRecording,
     RecordingSmoother,
     SimulatedEnsemble,
     reading_model,
+    smooth_episode,
 )
 from idapt_pl.tasks import make_task
 
@@ -98,7 +99,8 @@ def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):
     shown[30:], actions[30:] = states[:31], actions[:30]  # all at once it is where it was when it began
     readings = shown + error * np.random.default_rng(0).normal(size=shown.shape)
     ensemble = SimulatedEnsemble(task, task.domain("source"), 64)
-    found = FixedLagSmoother(ensemble, expected_of(task, states, error), 6)(readings, actions, 0)
+    known = EnsembleFilter(ensemble, expected_of(task, states, error), 6, seed=0)
+    found = smooth_episode(known, readings, actions)
     assert np.flatnonzero(found.lost).tolist() == [30]
     assert relative(found.states - shown, states) < relative(readings - shown, states)
 

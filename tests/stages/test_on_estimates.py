@@ -294,3 +294,17 @@ def test_settings_that_contradict_each_other_are_told_at_once(changed, message, 
     assert main(["fit", *options("pendulum_quick", tmp_path / "run", ON_ESTIMATES | changed)]) != 0
     assert message in capsys.readouterr().err
     assert not (tmp_path / "run" / "step_00").exists()
+
+
+def test_policies_can_act_by_physics_and_the_ledger_counts_it(run, tmp_path, capsys):
+    copied = tmp_path / "run"
+    shutil.copytree(run, copied)
+    assert main(["evaluate", "--run", str(copied), "--episodes", "2", "--seed", "3", "--physics", "8"]) == 0
+    assert "visual grounding, step 0, by physics" in capsys.readouterr().out
+    result = json.loads((copied / "evaluation_2_3.json").read_text())["policies"]
+    errors = result["IDAPT, grounding step 1, by physics"]["target"]["state_errors"]
+    assert set(errors) == {"readings", "estimates", "lost"} and np.isfinite(errors["estimates"]).all()
+    assert "direct transfer, by physics" not in result, "it knows no translated images"
+    assert main(["ledger", "--run", str(copied)]) == 0
+    counted = json.loads((copied / "ledger.json").read_text())["entries"]
+    assert sum("by physics" in e["purpose"] for e in counted) == 2
