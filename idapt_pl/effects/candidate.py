@@ -139,13 +139,33 @@ def actuated_dofs(model: mujoco.MjModel) -> set[int]:
     return {int(v) for v in model.jnt_dofadr[model.actuator_trnid[on_joints, 0]]}
 
 
+def floating_base_dofs(model: mujoco.MjModel) -> set[int]:
+    """Degrees of freedom by which a machine moves freely in the world, such as x, z and pitch of a planar walker.
+
+    They are those of a body of the world with several joints, none of which has an actuator. Such a coordinate is no
+    machine part: there is no gear, rotor, bearing or encoder.
+    """
+    driven, base = actuated_dofs(model), set[int]()
+    for body in np.flatnonzero((model.body_parentid == 0) & (model.body_jntnum > 1)):
+        dofs = set(range(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body]))
+        if not dofs & driven:
+            base |= dofs
+    return base
+
+
+def mechanical_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
+    """As :func:`scalar_joints`, without coordinates of a floating base."""
+    base = floating_base_dofs(model)
+    return [joint for joint in scalar_joints(model) if joint[1] not in base]
+
+
 def one_per_joint(
     kind: type[Effect], parameter: str, model: mujoco.MjModel, nominal: np.ndarray, scale: np.ndarray,
     further: Iterable[float] = (),
 ) -> list[Candidate]:  # fmt: skip
-    """A candidate for each hinge and slide, and one value for all of them, or else for those with actuators.
+    """A candidate for each hinge and slide that is part of a mechanism, and one value for all of them.
 
-    The joints of a free base may be of another kind than those with motors and gears.
+    Where there is a floating base, or joints differ, that one value is for the joints with actuators.
 
     Args:
         kind: the effect.
@@ -156,11 +176,12 @@ def one_per_joint(
         further: where fits start too, in scales from nominal.
     """
     singles, actuated = [], actuated_dofs(model)
-    for _, v, name in scalar_joints(model):
+    for _, v, name in mechanical_joints(model):
         n, s = float(nominal[v]), float(scale[v])
         singles.append((v, Candidate(kind, name, (parameter,), (n,), (s,), tuple((n + f * s,) for f in further))))
     every = [c for _, c in singles]
-    return every + (shared(every) or shared([c for v, c in singles if v in actuated], ACTUATED))
+    driven = shared([c for v, c in singles if v in actuated], ACTUATED)
+    return every + (driven if floating_base_dofs(model) else shared(every) or driven)
 
 
 def named_actuators(model: mujoco.MjModel) -> list[tuple[int, str]]:

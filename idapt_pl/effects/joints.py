@@ -10,7 +10,16 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect, find_elements, find_joints, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, actuated_dofs, one_per_joint, scalar_joints, shared
+from idapt_pl.effects.candidate import (
+    Candidate,
+    TypicalSizes,
+    actuated_dofs,
+    floating_base_dofs,
+    mechanical_joints,
+    one_per_joint,
+    scalar_joints,
+    shared,
+)
 from idapt_pl.effects.runtime import ForceEffect
 
 
@@ -99,9 +108,9 @@ class JointStiffness(JointEffect):
         nominal, scale = model.jnt_stiffness, typical.inertia / typical.horizon**2
         singles = [
             Candidate(cls, name, ("stiffness",), (float(nominal[j]),), (scale[v],))
-            for j, v, name in scalar_joints(model)
+            for j, v, name in mechanical_joints(model)
         ]
-        return singles + shared(singles)
+        return singles + (shared(singles) if not floating_base_dofs(model) else [])
 
 
 @dataclass(frozen=True)
@@ -216,7 +225,7 @@ class JointStribeck(ForceEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        return [cls.candidate_on(name, v, typical) for _, v, name in scalar_joints(model)]
+        return [cls.candidate_on(name, v, typical) for _, v, name in mechanical_joints(model)]
 
     @classmethod
     def candidate_on(cls, joint: str, v: int, typical: TypicalSizes) -> Candidate:
@@ -259,7 +268,7 @@ class JointCogging(ForceEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         """On hinges that turned through enough periods, with each number of periods that is likely."""
         found = []
-        for j, v, name in scalar_joints(model):
+        for j, v, name in mechanical_joints(model):
             if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
                 continue
             scale = (typical.torque[v],) * 2

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from idapt_pl.effects.base import find_elements, parameter
-from idapt_pl.effects.candidate import Candidate, TypicalSizes, named_actuators, scalar_joints, with_shared
+from idapt_pl.effects.candidate import Candidate, TypicalSizes, mechanical_joints, named_actuators, with_shared
 from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
 
 
@@ -126,7 +126,9 @@ class SensorBias(SensingEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        return [Candidate(cls, name, ("bias",), (0.0,), (typical.motion[v],)) for _, v, name in scalar_joints(model)]
+        return [
+            Candidate(cls, name, ("bias",), (0.0,), (typical.motion[v],)) for _, v, name in mechanical_joints(model)
+        ]
 
 
 SENSOR_GAIN = ((0.8, 1.25),)
@@ -150,5 +152,5 @@ class SensorGain(SensingEffect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         return [
-            Candidate(cls, name, ("gain",), (1.0,), (0.2,), span=SENSOR_GAIN) for _, _, name in scalar_joints(model)
+            Candidate(cls, name, ("gain",), (1.0,), (0.2,), span=SENSOR_GAIN) for _, _, name in mechanical_joints(model)
         ]

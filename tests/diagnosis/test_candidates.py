@@ -8,6 +8,7 @@ from idapt_pl.diagnosis.candidates import CANDIDATE_ORDER, all_candidates, in_or
 from idapt_pl.diagnosis.data import Recording
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.candidate import TypicalSizes
+from idapt_pl.tasks import make_task
 
 CART = """
 <mujoco>
@@ -81,3 +82,26 @@ def test_other_numerics_are_tried_from_the_coarsest_to_the_finest(model):
         (0.01, "RK4"),
         (0.002, "implicitfast"),
     ]
+
+
+JOINT_EFFECTS = ("joint_damping", "joint_frictionloss", "joint_armature", "joint_stiffness", "joint_drag",
+                 "joint_stribeck", "joint_cogging", "sensor_bias", "sensor_gain")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["half_cheetah", "walker2d"])
+def test_coordinates_of_a_floating_base_are_no_machine_parts(name):
+    """A walker's torso has no rotor inertia, friction or encoder by which it moves in the world."""
+    model = make_task(name).domain("source").compile()
+    ones = np.ones(model.nv)
+    typical = TypicalSizes(0.05, ones, ones, ones, 20 * ones, np.ones(model.nu), np.ones(model.nu), 0.5)
+    for effect in JOINT_EFFECTS:
+        targets = {c.target for c in EFFECTS[effect].candidates(model, typical)}
+        assert targets and not targets & {"rootx", "rootz", "rooty", "*"}, effect
+    assert "actuated" in {c.target for c in EFFECTS["joint_armature"].candidates(model, typical)}
+
+
+def test_a_passive_joint_of_a_mechanism_is_a_machine_part():
+    model = make_task("inverted_pendulum").domain("source").compile()
+    ones = np.ones(model.nv)
+    typical = TypicalSizes(0.05, ones, ones, ones, 20 * ones, np.ones(model.nu), np.ones(model.nu), 0.5)
+    assert {"slider", "hinge"} <= {c.target for c in EFFECTS["joint_damping"].candidates(model, typical)}
