@@ -11,8 +11,14 @@ from datamodules import read_trajectories
 from idapt_pl.tasks import make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 
-SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "teacher.dagger": 8, "schedule.grounding_steps": 1}
-"""A teacher's stages; TINY has the other lengths."""
+SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "schedule.grounding_steps": 1}
+DAGGER = SHORT | {"teacher.dagger": 8}
+ON_ESTIMATES = SHORT | {
+    "teacher.rehearse": 64, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "schedule.source_policy": 0,
+    **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
+       for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
+}  # fmt: skip
+"""A teacher's stages, and those of what learns from it; TINY has the other lengths."""
 
 
 @pytest.mark.parametrize(
@@ -24,13 +30,17 @@ def test_a_quick_config_runs_from_start_to_end(config, tmp_path, monkeypatch):
     task = make_task(yaml.safe_load(path.read_text())["task"])
     monkeypatch.setattr(type(task), "expert", ExpertRecipe(8, batch=8, warmup_steps=40, num_envs=2))
     # whether there is an F, and what is explored by, is the config's
-    values = {k: v for k, v in TINY.items() if k != "schedule.action_transformation"} | SHORT | {"run_dir": run}
+    rehearses = "rehearse" in yaml.safe_load(path.read_text())["teacher"]
+    values = {k: v for k, v in TINY.items() if k != "schedule.action_transformation"} | {"run_dir": run}
+    values |= ON_ESTIMATES if rehearses else DAGGER
     assert main(["fit", "--config", str(path), *(f"--{k}={v}" for k, v in values.items())]) == 0
 
     made = yaml.safe_load((run / "config.yaml").read_text())
     assert made["schedule"]["exploration"] == "rehearse" and made["teacher"]["steps"]
     stages = {p.parent.name for p in run.glob("step_01/*/final.ckpt")}
-    assert {"state_predictor", "visual", "estimator", "student", "policy"} <= stages
+    learned = {"estimator_policy", "filter_policy"} if rehearses else {"estimator", "student"}
+    assert {"state_predictor", "visual", "policy"} | learned <= stages
+    assert (run / "step_01/labelled.h5").exists() == rehearses
     assert ("dynamics" in stages) == made["schedule"]["action_transformation"]
     assert (run / "step_00/source_teacher/final.ckpt").exists() and (run / "report.html").exists()
 

@@ -39,7 +39,7 @@ PAPER = {
     "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
     "schedule.accumulate": False, "schedule.exploration": "random", "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False,
-    "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
+    "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
     # Open in the paper, from the authors' code
     "feeding.visual_batch": 8, "feeding.buffer_size": 100_000, "visual.state_weight": 5.0, "policy.tau": 0.01,
 }  # fmt: skip
@@ -114,10 +114,11 @@ def test_a_preset_takes_filter_and_rehearsals_out_of_a_config(name, tmp_path):
         "schedule": {"source_policy": 0, "pretrain": lengths, "finetune": lengths},
         "teacher": {"steps": 100, "rehearse": 100, "noise": 0.1},
         "policy": {"encoder": "supervised", "memory": 8},
+        "labels": {"members": 16},
     }))  # fmt: skip
     assert parsed(mine)[0].modules["policy"]["memory"] == 8
     config, _ = parsed(mine, preset(name))
-    assert config.modules["policy"]["memory"] == 0
+    assert config.modules["policy"]["memory"] == config.labels.members == 0
     assert (config.teacher.steps, config.teacher.rehearse, config.teacher.noise) == (0, 0, 0)
     assert config.schedule.pretrain.filter == config.schedule.finetune.rehearsed == 0
 

@@ -19,7 +19,8 @@ KILLS = 13
 """Of each run."""
 TEACHER = {"teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 16}
 ON_ESTIMATES = {
-    "teacher.dagger": 0, "teacher.rehearse": 64, "policy.memory": 8, "filter.stretch": 10, "schedule.source_policy": 0,
+    "teacher.dagger": 0, "teacher.rehearse": 64, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8,
+    "schedule.source_policy": 0,
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
 }  # fmt: skip
