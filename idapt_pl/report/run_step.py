@@ -42,7 +42,8 @@ def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> 
     if step.diagnosis is not None:
         parts.append(found_effects_section(step.diagnosis, model))
     parts += [step_images(step, run), step_numbers(step, metric)]
-    learned = "G, F and the policy" if step.k else "G, and effects" if step.source_repaired else "G alone"
+    grounded = "G, F" if "dynamics" in step.seconds else "G"
+    learned = f"{grounded} and the policy" if step.k else "G, and effects" if step.source_repaired else "G alone"
     return section(f"Step {step.k}: {learned}", *parts, kind="rolled" * step.selection.get("rolled_back", False))
 
 
