@@ -7,6 +7,8 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from cli.arguments import parser
 from datamodules.unpaired import read_all
 from idapt_pl.evaluation.estimates import EstimateErrors
@@ -32,22 +34,27 @@ def main(args: list[str]) -> int:
         type=int,
         default=0,
         metavar="MEMBERS",
-        help="also let policies act on states that so many simulations of the repaired source agree on with what is "
-        "read of the images, in place of their filter; about 100",
+        help="let policies act on states that so many simulations of the repaired source agree on with what is read of "
+        "the images, in place of their filter; about 100",
     )
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
     values = {"--episodes": o.episodes, "--seed": o.seed, "--physics": o.physics}
     check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED, "--physics": COUNT_OR_NONE})
     run = Run.open(o.run)
+    if o.physics:
+        check_physics(run, o.physics)
     run.restore_ledger()
     result = {
         "run": str(o.run),
         "episodes": o.episodes,
         "seed": o.seed,
-        "policies": measure_policies(run, o.episodes, o.seed, o.physics),
+        "policies": by_physics(run, o.episodes, o.seed, o.physics)
+        if o.physics
+        else measure_policies(run, o.episodes, o.seed),
     }
-    path = o.run / f"evaluation_{o.episodes}_{o.seed}.json"
+    how = f"_physics{o.physics}" if o.physics else ""
+    path = o.run / f"evaluation_{o.episodes}_{o.seed}{how}.json"
     write_json(path, result, checked=True)
     for entry in later_entries(path):
         run.worlds.ledger.enter(entry["step"], entry["purpose"], entry["count"])
@@ -61,8 +68,8 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def measure_policies(run: Run, episodes: int, seed: int, members: int = 0) -> dict[str, dict]:
-    """Returns of every policy the run has kept; with ``members`` also of those in the target that act by physics."""
+def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
+    """Returns of every policy the run has kept."""
     worlds = run.worlds
     results: dict[str, dict] = {}
     for name, path in finished_policies(run):
@@ -74,25 +81,47 @@ def measure_policies(run: Run, episodes: int, seed: int, members: int = 0) -> di
         for domain, env in envs.items():
             with closing(env):
                 results[name][domain] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
-        if members and (by_physics := acting_by_physics(run, path, members)) is not None:
-            with closing(worlds.rewarded_target(min(episodes, 25))) as env:
-                errors = EstimateErrors(by_physics)
-                found = evaluate(env, by_physics, episodes, seed, errors).to_dict()
-            results[f"{name}, by physics"] = {"target": found | {"state_errors": errors.to_dict()}}
     return results
 
 
-def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysics | None:
-    """A grounding step's policy on states by physics; None where its step has no labelled images of the target.
+def check_physics(run: Run, members: int) -> None:
+    """Whether a run's policies can act by physics.
 
-    How wrong readings are is told by the recordings of its step: images and actions.
+    Raises:
+        ValueError: naming what is in the way.
     """
-    folder = checkpoint.parent.parent
-    if checkpoint.parent.name != "policy" or not (folder / "translated.h5").exists():
-        return None
-    c, policy = run.context, run.load_policy(checkpoint)
-    target = read_all([folder / "target.h5"])
-    smooth, recordings, scale = smoother_of(c, target, folder / "translated.h5", policy.actor.encoder, None)
+    if members == 1:
+        raise ValueError("--physics is 1: one guess has no spread. Give about 100")
+    if run.config.modules["policy"]["encoder"] != "supervised":
+        raise ValueError("--physics corrects readings of states, and this run's policies read none (policy.encoder)")
+    if list(run.folder.glob("step_*/dynamics/final.ckpt")):
+        raise ValueError("--physics plays the policy's actions in the source as they are, and this run has an F")
+    task = run.worlds.task
+    try:
+        task.motion(np.zeros((1, run.worlds.dimensions["state_dim"])), 1.0)
+    except ValueError:
+        raise ValueError(f"--physics needs positions, which the states of {task.name} do not tell") from None
+
+
+def by_physics(run: Run, episodes: int, seed: int, members: int) -> dict[str, dict]:
+    """Returns in the target, and errors of the state, of the grounding steps' policies on states by physics."""
+    results = {}
+    for name, path in finished_policies(run):
+        if path.parent.name != "policy":
+            continue  # it knows no translated images
+        act = acting_by_physics(run, path, members)
+        errors = EstimateErrors(act)
+        with closing(run.worlds.rewarded_target(min(episodes, 25))) as env:
+            found = evaluate(env, act, episodes, seed, errors).to_dict()
+        results[f"{name}, by {members} simulations"] = {"target": found | {"state_errors": errors.to_dict()}}
+    return results
+
+
+def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysics:
+    """A grounding step's policy on states by physics. Its step's recordings say how wrong readings are."""
+    folder, policy = checkpoint.parent.parent, run.load_policy(checkpoint)
+    target, known = read_all([folder / "target.h5"]), folder / "translated.h5"
+    smooth, recordings, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
     smooth = replace(smooth, members=members)
     errors = smooth.forecast_errors(recordings, scale, seed=0)
     return ActingByPhysics(policy, smooth.supposing(min(errors, key=errors.__getitem__)))

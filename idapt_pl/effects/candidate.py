@@ -159,6 +159,11 @@ def mechanical_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
     return [joint for joint in scalar_joints(model) if joint[1] not in base]
 
 
+def shared_by_all(model: mujoco.MjModel, every: list[Candidate]) -> list[Candidate]:
+    """As :func:`shared`, for all joints; none where some are a floating base, of which it would be too."""
+    return [] if floating_base_dofs(model) else shared(every)
+
+
 def one_per_joint(
     kind: type[Effect], parameter: str, model: mujoco.MjModel, nominal: np.ndarray, scale: np.ndarray,
     further: Iterable[float] = (),
@@ -181,7 +186,7 @@ def one_per_joint(
         singles.append((v, Candidate(kind, name, (parameter,), (n,), (s,), tuple((n + f * s,) for f in further))))
     every = [c for _, c in singles]
     driven = shared([c for v, c in singles if v in actuated], ACTUATED)
-    return every + (driven if floating_base_dofs(model) else shared(every) or driven)
+    return every + (shared_by_all(model, every) or driven)
 
 
 def named_actuators(model: mujoco.MjModel) -> list[tuple[int, str]]:

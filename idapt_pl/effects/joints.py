@@ -14,11 +14,10 @@ from idapt_pl.effects.candidate import (
     Candidate,
     TypicalSizes,
     actuated_dofs,
-    floating_base_dofs,
     mechanical_joints,
     one_per_joint,
     scalar_joints,
-    shared,
+    shared_by_all,
 )
 from idapt_pl.effects.runtime import ForceEffect
 
@@ -110,7 +109,7 @@ class JointStiffness(JointEffect):
             Candidate(cls, name, ("stiffness",), (float(nominal[j]),), (scale[v],))
             for j, v, name in mechanical_joints(model)
         ]
-        return singles + (shared(singles) if not floating_base_dofs(model) else [])
+        return singles + shared_by_all(model, singles)
 
 
 @dataclass(frozen=True)

@@ -43,13 +43,11 @@ class Smoothed:
 
     Attributes:
         states: the smoothed ones, (T+1, s).
-        spread: of the ensemble about them, (T+1, s).
         surprise: readings less what was to be expected before they came, (T+1, s).
         lost: where the ensemble had lost the state and began anew, bool (T+1,).
     """
 
     states: np.ndarray
-    spread: np.ndarray
     surprise: np.ndarray
     lost: np.ndarray
 
@@ -111,12 +109,12 @@ class EnsembleFilter:
 
 def smooth_episode(known: EnsembleFilter, readings: np.ndarray, actions: np.ndarray) -> Smoothed:
     """A whole episode through a filter: readings of the state (T+1, s), actions between them (T, nu)."""
-    states, spread, surprise = (np.zeros(readings.shape) for _ in range(3))
-    out = Smoothed(states, spread, surprise, np.zeros(len(readings), bool))
+    states, surprise = np.zeros(readings.shape), np.zeros(readings.shape)
+    out = Smoothed(states, surprise, np.zeros(len(readings), bool))
     with silence_mujoco():
         for t, reading in enumerate(readings):
             known.play(actions[t - 1]) if t else known.begin(reading)
             surprise[t], out.lost[t] = known.take_in(reading)
             for back, guesses in enumerate(reversed(known.past)):
-                states[t - back], spread[t - back] = guesses.mean(0), guesses.std(0)
+                states[t - back] = guesses.mean(0)
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
@@ -68,14 +69,20 @@ def label_target(
     """
     if not c.labels.members:
         return []
-    data = read_all(target)
-    smooth, recordings, scale = smoother_of(c, data, known, sensor, F)
+
+    @functools.cache
+    def prepared() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
+        torch.manual_seed(step)  # F samples; whether this is the first or a resumed process must make no difference
+        data = read_all(target)
+        return data, *smoother_of(c, data, known, sensor, F)
 
     def factors(seed: int) -> dict:
+        _, smooth, recordings, scale = prepared()
         errors = smooth.forecast_errors(recordings, scale, seed)
         return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
 
     def make(seed: int) -> Trajectories:
+        data, smooth, recordings, _ = prepared()
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]

@@ -67,7 +67,7 @@ def test_physics_takes_most_of_the_readings_errors_off(task, recording):
     smoothed = RecordingSmoother(task, task.domain("source"), expected, 64, 6)([read], 0)[0]
     before, after = relative(read.readings - states, states), relative(smoothed.states - states, states)
     assert after < 0.6 * before
-    assert not smoothed.lost.any() and smoothed.spread.shape == states.shape
+    assert not smoothed.lost.any() and smoothed.surprise.shape == states.shape
     ahead = RecordingSmoother(task, task.domain("source"), expected, 64, 0)([read], 0)[0]
     assert after < relative(ahead.states - states, states), "what comes later tells something too"
 

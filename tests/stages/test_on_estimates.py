@@ -10,6 +10,8 @@ import torch
 from conftest import TINY
 
 from cli.main import main
+from datamodules import Episode, Trajectories, write_trajectories
+from datamodules.unpaired import read_all
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.modules import AsymmetricSAC, StateSAC
@@ -17,6 +19,8 @@ from idapt_pl.modules.observation_noise import SlowNoise
 from idapt_pl.rl.policy import Acting, deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
+from idapt_pl.smoothing import Smoothed
+from idapt_pl.stages.labels import labelled
 from idapt_pl.stages.on_estimates import fit_on_estimates, read_episodes, take_over
 from idapt_pl.stages.schedule import StageLengths
 
@@ -299,12 +303,44 @@ def test_settings_that_contradict_each_other_are_told_at_once(changed, message, 
 def test_policies_can_act_by_physics_and_the_ledger_counts_it(run, tmp_path, capsys):
     copied = tmp_path / "run"
     shutil.copytree(run, copied)
-    assert main(["evaluate", "--run", str(copied), "--episodes", "2", "--seed", "3", "--physics", "8"]) == 0
-    assert "visual grounding, step 0, by physics" in capsys.readouterr().out
-    result = json.loads((copied / "evaluation_2_3.json").read_text())["policies"]
-    errors = result["IDAPT, grounding step 1, by physics"]["target"]["state_errors"]
+    for folder in copied.glob("step_*/dynamics"):
+        shutil.rmtree(folder)  # physics plays actions as they are
+    options = ["evaluate", "--run", str(copied), "--episodes", "2", "--seed", "3"]
+    assert main([*options, "--physics", "8"]) == 0
+    assert "visual grounding, step 0, by 8 simulations" in capsys.readouterr().out
+    result = json.loads((copied / "evaluation_2_3_physics8.json").read_text())["policies"]
+    assert len(result) == 2, "direct transfer knows no translated images"
+    errors = result["IDAPT, grounding step 1, by 8 simulations"]["target"]["state_errors"]
     assert set(errors) == {"readings", "estimates", "lost"} and np.isfinite(errors["estimates"]).all()
-    assert "direct transfer, by physics" not in result, "it knows no translated images"
+    assert main(options) == 0, "an evaluation without physics takes none of its counts away"
     assert main(["ledger", "--run", str(copied)]) == 0
     counted = json.loads((copied / "ledger.json").read_text())["entries"]
-    assert sum("by physics" in e["purpose"] for e in counted) == 2
+    assert sum("by 8 simulations" in e["purpose"] for e in counted) == 2
+
+
+@pytest.mark.parametrize(("members", "message"), [("1", "one guess has no spread"), ("8", "this run has an F")])
+def test_physics_that_cannot_be_is_refused_before_the_target_moves(members, message, run, capsys):
+    before = (run / "ledger.json").read_bytes()
+    assert main(["evaluate", "--run", str(run), "--episodes", "2", "--physics", members]) != 0
+    assert message in capsys.readouterr().err and (run / "ledger.json").read_bytes() == before
+
+
+def test_target_frames_that_nothing_explains_get_no_label():
+    episode = Episode(np.zeros((9, 1), np.float32), {"pixels": np.zeros((10, 4, 4, 3), np.uint8)})
+    lost = np.zeros(10, bool)
+    lost[4] = True
+    states = np.arange(20.0).reshape(10, 2)
+    kept = labelled(Trajectories((episode,), 0.1), [Smoothed(states, states, lost)], 1)
+    assert [e.observations["state"][:, 0].tolist() for e in kept] == [[0, 2, 4], [12, 14, 16, 18]]
+    nothing = labelled(Trajectories((episode,), 0.1), [Smoothed(states, states, np.ones(10, bool))], 1)
+    assert len(nothing) == 0
+
+
+def test_a_run_can_go_on_where_no_frame_got_a_label(tmp_path):
+    shown = Episode(
+        np.zeros((3, 1), np.float32), {"pixels": np.zeros((4, 8, 8, 3), np.uint8), "state": np.ones((4, 2))}
+    )
+    for name, episodes in (("translated", (shown,)), ("labelled", ())):
+        write_trajectories(tmp_path / f"{name}.h5", Trajectories(episodes, 0.1))
+    both = read_all([tmp_path / "translated.h5", tmp_path / "labelled.h5"], also="state")
+    assert len(both) == 1
