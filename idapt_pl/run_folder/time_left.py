@@ -40,7 +40,8 @@ def in_words(seconds: float) -> str:
 def expected_seconds(config: Any, beside: bool = False) -> dict[tuple[int, str], float]:
     """What the stages of a run are expected to cost, on one core of an AMD EPYC (AVX2) with images of 64 pixels.
 
-    Read off runs of the quick configs, by hand; the cost of images goes with their area, that of G with its width squared.
+    Read off runs of the quick configs, by hand; the cost of images goes with their area, that of G with its width
+    squared.
 
     Args:
         config: a :class:`~idapt_pl.run.RunConfig` whose lengths are filled.
