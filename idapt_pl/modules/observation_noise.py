@@ -52,26 +52,32 @@ class ObservationNoise(NoObservationNoise):
 
 
 class SlowNoise(NoObservationNoise):
-    """Noise on states that changes slowly, as errors of estimates do: an autoregressive process for each component.
+    """Noise on states as errors of estimates are: slow, an autoregressive process for each component, and constant.
 
     Args:
         scale: of each component, (s,), in its units.
         num_envs: n.
-        spread: standard deviation, in units of ``scale``.
+        spread: standard deviation of what changes, in units of ``scale``.
+        offset: that of what stays for a whole episode.
         seed: of the draws.
         memory: correlation of what follows each other.
     """
 
-    def __init__(self, scale: np.ndarray, num_envs: int, spread: float, seed: int, memory: float = 0.8) -> None:
-        self._rng, self.memory, self._spread = np.random.default_rng(seed), memory, spread * scale
-        self._now = self._rng.normal(size=(num_envs, len(scale)))
+    def __init__(
+        self, scale: np.ndarray, num_envs: int, spread: float, offset: float, seed: int, memory: float = 0.8
+    ) -> None:
+        self._rng, self.memory = np.random.default_rng(seed), memory
+        self._spread, self._offset = spread * scale, offset * scale
+        self._now, self._constant = self._rng.normal(size=(2, num_envs, len(scale)))
 
     def renew(self, episodes: np.ndarray) -> None:
         """Draw anew for some simulations, bool (n,)."""
-        self._now[episodes] = self._rng.normal(size=(int(episodes.sum()), self._now.shape[1]))
+        new = self._rng.normal(size=(2, int(episodes.sum()), self._now.shape[1]))
+        self._now[episodes], self._constant[episodes] = new
 
     def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """States with noise, as ``observation``."""
         new = self._rng.normal(size=self._now.shape)
         self._now = self.memory * self._now + np.sqrt(1 - self.memory**2) * new
-        return {**seen, "observation": (seen["observation"] + self._spread * self._now).astype(np.float32)}
+        wrong = self._spread * self._now + self._offset * self._constant
+        return {**seen, "observation": (seen["observation"] + wrong).astype(np.float32)}

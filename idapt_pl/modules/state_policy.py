@@ -49,6 +49,7 @@ class StateSAC(SAC):
         target_entropy: nats, on actions normalised to (-1, 1); default -nu.
         actor_every: critic updates per actor (and temperature) update.
         noise: spread of slow noise on the states that the actor sees while it trains, in units of their spread.
+        offset: spread of errors that stay for a whole episode, likewise.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class StateSAC(SAC):
         target_entropy: float | None = None,
         actor_every: int = 1,
         noise: float = 0.0,
+        offset: float = 0.0,
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
@@ -84,9 +86,15 @@ class StateSAC(SAC):
         return self.act(remembered["observation"])
 
     def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
-        if not self.hparams.noise:
+        if not self.misled:
             return NoObservationNoise()
-        return SlowNoise(self.actor.encoder.std.cpu().numpy(), num_envs, self.hparams.noise, seed)
+        scale = self.actor.encoder.std.cpu().numpy()
+        return SlowNoise(scale, num_envs, self.hparams.noise, self.hparams.offset, seed)
+
+    @property
+    def misled(self) -> bool:
+        """Whether the actor does not see the true states while it trains."""
+        return bool(self.hparams.noise or self.hparams.offset)
 
     def features(self, remembered: Tensor) -> Tensor:
         return remembered  # standardised by update()
@@ -97,8 +105,8 @@ class StateSAC(SAC):
 
     def standardised(self, transitions: dict[str, Tensor]) -> dict[str, Tensor]:
         """What actor and critics see of transitions."""
-        names = ("state", "next_state", *(("observation", "next_observation") if self.hparams.noise else ()))
+        names = ("state", "next_state", *(("observation", "next_observation") if self.misled else ()))
         seen = {name: self.actor.encoder(transitions[name]) for name in names}
-        if not self.hparams.noise:
+        if not self.misled:
             seen |= {"observation": seen["state"], "next_observation": seen["next_state"]}
         return transitions | seen

@@ -38,6 +38,7 @@ class TeacherSettings:
             is the teacher's own, which acts on estimates of the state (:mod:`~idapt_pl.stages.on_estimates`).
         noise: spread of slow noise on the states that the teacher's actor sees while it trains, in units of their
             spread; its critics see the true ones. So it learns to live with errors of estimates. 0 for none.
+        offset: spread of errors that stay for a whole episode, likewise. What G misplaces, it misplaces in every image.
         fading: share of these over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
     """
@@ -47,12 +48,14 @@ class TeacherSettings:
     dagger: int = 0
     rehearse: int = 0
     noise: float = 0.0
+    offset: float = 0.0
     fading: float = 0.5
     updates_per_step: float = 1.0
 
     def __post_init__(self) -> None:
         ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse"), COUNT_OR_NONE)
-        check_ranges("teacher", vars(self), ranges | {"noise": NOT_NEGATIVE, "updates_per_step": Range(0, 1e6, "(]")})
+        errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
+        check_ranges("teacher", vars(self), ranges | errors | {"updates_per_step": Range(0, 1e6, "(]")})
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
@@ -185,7 +188,8 @@ class Distillation:
         def build_expert() -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
             same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
-            expert = StateSAC(policy.state_dim, **bounds, **same, noise=self.settings.noise)
+            wrong = {"noise": self.settings.noise, "offset": self.settings.offset}
+            expert = StateSAC(policy.state_dim, **bounds, **same, **wrong)
             if known is not None:
                 expert.load_state_dict(known.state_dict())
             return expert

@@ -128,7 +128,7 @@ def test_a_rehearsal_of_the_policy_remembers_what_was_played(env, teacher, polic
 
 
 def test_noise_is_slow_and_as_large_as_asked_for():
-    noise = SlowNoise(np.array([1.0, 10.0]), 500, 0.2, seed=0)
+    noise = SlowNoise(np.array([1.0, 10.0]), 500, 0.2, 0.0, seed=0)
     zero = {"observation": np.zeros((500, 2), np.float32), "other": 1}
     made = np.array([noise(zero)["observation"] for _ in range(50)])
     assert made.std((0, 1)) == pytest.approx([0.2, 2.0], rel=0.05)
@@ -139,8 +139,23 @@ def test_noise_is_slow_and_as_large_as_asked_for():
     assert abs(related[0]) < 0.2 < 0.6 < related[1]
 
 
-def test_the_actor_sees_noise_and_the_critics_the_truth():
-    teacher = StateSAC(**SIZES, noise=0.3)
+def test_an_offset_stays_for_an_episode():
+    noise = SlowNoise(np.array([1.0, 10.0]), 500, 0.0, 0.2, seed=0)
+    zero = {"observation": np.zeros((500, 2), np.float32)}
+    first = noise(zero)["observation"]
+    assert first.std(0) == pytest.approx([0.2, 2.0], rel=0.1)
+    assert np.array_equal(noise(zero)["observation"], first)
+    noise.renew(ended := np.arange(500) < 250)
+    after = noise(zero)["observation"]
+    assert np.array_equal(after[~ended], first[~ended])
+    assert abs(np.corrcoef(first[ended, 0], after[ended, 0])[0, 1]) < 0.2
+
+
+@pytest.mark.parametrize("wrong", [{"noise": 0.3}, {"offset": 0.3}])
+def test_the_actor_sees_noise_and_the_critics_the_truth(wrong):
+    teacher = StateSAC(**SIZES, **wrong)
+    made = teacher.observation_noise(1000, 0)({"observation": np.zeros((1000, 2), np.float32)})["observation"]
+    assert made.std(0) == pytest.approx([0.3, 0.3], rel=0.1)
     batch = {name: torch.randn(4, 2) for name in ("state", "next_state", "observation", "next_observation")}
     seen = teacher.standardised(batch)
     assert torch.equal(seen["observation"], teacher.actor.encoder(batch["observation"]))
