@@ -82,7 +82,8 @@ def rows(folder: Path, method: str) -> list[dict]:
     }
     found = [("direct transfer", "", read("step_00/direct_transfer"), "")]
     for k in range(len(summary["grounded"]) + 1):
-        measured = read(f"step_{k:02d}/evaluation")
+        if (folder / f"step_{k:02d}/evaluation.json").exists():  # else step k was settled: the policy before it stays
+            measured = read(f"step_{k:02d}/evaluation")
         name = method if k else "visual only"
         found.append((name, k, measured["target"], measured["translation"]["psnr"]))
     if summary["oracle"] is not None:

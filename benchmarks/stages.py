@@ -1,7 +1,7 @@
 """How fast does each stage of a config train on this machine, and how long would the whole config take?
 
-    python benchmarks/stages.py                                  # pendulum_hard.yaml, the paper's size
-    python benchmarks/stages.py --config configs/walker_hard.yaml
+    python benchmarks/stages.py                                  # walker_hard.yaml, the paper's size
+    python benchmarks/stages.py --config configs/pendulum_quick.yaml
 
 Every stage runs twice, shortened, with the config's own networks, images and batches; the difference of the two gives
 seconds a unit without the start-up. Writes results/stages.csv: what a unit is, its seconds, how many the config asks
@@ -79,7 +79,7 @@ def rows(config: Path) -> list[dict]:
 def main() -> None:
     """Run the benchmark; rows of other configs stay."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--config", type=Path, default=ROOT / "configs/pendulum_hard.yaml")
+    p.add_argument("--config", type=Path, default=ROOT / "configs/walker_hard.yaml")
     p.add_argument("--out", type=Path, default=ROOT / "results/stages.csv")
     o = p.parse_args()
     replace_rows(o.out, rows(o.config), ("config",), FIELDS)

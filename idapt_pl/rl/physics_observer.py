@@ -39,7 +39,8 @@ class ActingByPhysics(Acting):
         while len(self._filters) < len(units):
             p = self.physics
             ensemble = SimulatedEnsemble(p.task, p.domain, p.members)
-            self._filters.append(EnsembleFilter(ensemble, p.expected, 0, self.seed + len(self._filters)))
+            seed = self.seed + len(self._filters)
+            self._filters.append(EnsembleFilter(ensemble, p.expected, 0, seed, p.starts))
             self._played.append(None)
         with silence_mujoco():
             states = np.stack([self._estimate(i, reading) for i, reading in enumerate(units)])
@@ -49,7 +50,7 @@ class ActingByPhysics(Acting):
 
     def _estimate(self, i: int, reading: np.ndarray) -> np.ndarray:
         known, played = self._filters[i], self._played[i]
-        known.begin(reading) if played is None else known.play(played)
+        known.begin_episode(reading) if played is None else known.play(played)
         self._lost += known.take_in(reading)[1]
         self._steps += 1
         return known.past[-1].mean(0)

@@ -13,7 +13,7 @@ from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 FARTHEST_OFF = 4.0
 """Expected errors that readings are off by on average, over components, where the ensemble is taken to be lost."""
 
-POSITION_NOISE, VELOCITY_NOISE = 0.01, 0.05
+POSITION_NOISE, VELOCITY_NOISE = 0.003, 0.015
 """What a model is taken to get wrong in a control step, of the spread of each position and velocity."""
 
 SPREAD = 1.01
@@ -62,20 +62,36 @@ class EnsembleFilter:
         expected: of readings and model.
         lag: control steps for which a state goes on being corrected.
         seed: of the ensemble.
+        starts: states that episodes begin in, (k, s); None where they begin anywhere.
 
     Attributes:
         past: the newest states and those up to ``lag`` before, the oldest first, (n, s) each.
     """
 
-    def __init__(self, ensemble: SimulatedEnsemble, expected: ReadingModel, lag: int, seed: int) -> None:
-        self.ensemble, self.expected, self.lag = ensemble, expected, lag
+    def __init__(
+        self,
+        ensemble: SimulatedEnsemble,
+        expected: ReadingModel,
+        lag: int,
+        seed: int,
+        starts: np.ndarray | None = None,
+    ) -> None:
+        self.ensemble, self.expected, self.lag, self.starts = ensemble, expected, lag, starts
         self.past: list[np.ndarray] = []
         self._rng = np.random.default_rng(seed)
+
+    def begin_episode(self, reading: np.ndarray) -> None:
+        """Forget everything and begin where episodes do; about a reading (s,) if that is not known."""
+        if self.starts is None:
+            return self.begin(reading)
+        drawn = self._rng.integers(0, len(self.starts), len(self.ensemble))
+        self.past, self._guesses, self._is_read = [], self.ensemble.begin(self.starts[drawn]), False
 
     def begin(self, reading: np.ndarray) -> None:
         """Forget everything and begin about a reading (s,)."""
         noise = self._rng.normal(size=(len(self.ensemble), len(reading)))
         self.past, self._guesses = [], self.ensemble.begin(reading + self.expected.error * noise)
+        self._is_read = True
 
     def play(self, action: np.ndarray) -> None:
         """A control step with an action (nu,) has passed."""
@@ -91,12 +107,13 @@ class EnsembleFilter:
         """
         seen = self.ensemble.states(self._guesses)
         surprise = reading - seen.mean(0)
-        lost = bool(self.past) and self._is_lost(surprise, seen)
+        lost = not self._is_read and self._is_lost(surprise, seen)
         if lost:
             self.begin(reading)
             seen = self.ensemble.states(self._guesses)
         past = [*self.past, seen][-self.lag - 1 :]
         better = corrected(np.concatenate([self._guesses, *past], 1), seen, reading, self.expected.error, self._rng)
+        self._is_read = False
         self._guesses, flat = np.split(better, [self._guesses.shape[1]], axis=1)
         self.past = list(np.split(flat, len(past), axis=1))
         return surprise, lost
@@ -113,7 +130,7 @@ def smooth_episode(known: EnsembleFilter, readings: np.ndarray, actions: np.ndar
     out = Smoothed(states, surprise, np.zeros(len(readings), bool))
     with silence_mujoco():
         for t, reading in enumerate(readings):
-            known.play(actions[t - 1]) if t else known.begin(reading)
+            known.play(actions[t - 1]) if t else known.begin_episode(reading)
             surprise[t], out.lost[t] = known.take_in(reading)
             for back, guesses in enumerate(reversed(known.past)):
                 states[t - back] = guesses.mean(0)

@@ -70,6 +70,8 @@ class RecordingSmoother:
         members: simulations in an ensemble.
         lag: control steps for which a state goes on being corrected.
         threads: recordings smoothed at a time; results do not depend on it.
+        starts: states that recordings begin in, (k, s); None where they begin anywhere. What is known there stays known
+            for a while, however wrong readings are.
     """
 
     task: Task
@@ -78,13 +80,14 @@ class RecordingSmoother:
     members: int
     lag: int
     threads: int = 1
+    starts: np.ndarray | None = None
 
     def __call__(self, recordings: Sequence[ReadRecording], seed: int) -> list[Smoothed]:
         """Smooth recordings; ``seed`` is of the ensembles."""
 
         def smooth(k: int) -> Smoothed:
             ensemble = SimulatedEnsemble(self.task, self.domain, self.members)
-            known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k)
+            known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k, self.starts)
             return smooth_episode(known, recordings[k].readings, recordings[k].actions)
 
         with ThreadPoolExecutor(self.threads) as pool:

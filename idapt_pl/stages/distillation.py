@@ -188,8 +188,8 @@ class Distillation:
         def build_expert() -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
             same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
-            wrong = {"noise": self.settings.noise, "offset": self.settings.offset}
-            expert = StateSAC(policy.state_dim, **bounds, **same, **wrong)
+            same |= {"noise": self.settings.noise, "offset": self.settings.offset}
+            expert = StateSAC(policy.state_dim, **bounds, **same)
             if known is not None:
                 expert.load_state_dict(known.state_dict())
             return expert

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +22,12 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.encoder import translated
+from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
+
+STARTS = 32
+"""Of the source, which stand for those of the target."""
 
 
 def labelled_images(
@@ -98,8 +103,15 @@ def smoother_of(
     states = np.concatenate([e.observations["state"] for e in images])
     task, domain = c.worlds.task, c.worlds.source_domain
     expected = reading_model(task, domain, read, states)
-    smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, torch.get_num_threads())
+    threads, starts = torch.get_num_threads(), known_starts(c.worlds) if c.labels.known_start else None
+    smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, threads, starts)
     return smooth, recordings_of(target, sensor, c.worlds.frame_stack, F), states.std(0) + 1e-9
+
+
+def known_starts(worlds: Worlds) -> np.ndarray:
+    """States that episodes of the source begin in, (k, s)."""
+    with closing(worlds.source_states(STARTS)) as env:
+        return env.reset(seed=0)[0]["state"].astype(float)
 
 
 def recordings_of(

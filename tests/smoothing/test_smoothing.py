@@ -105,6 +105,31 @@ def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):
     assert relative(found.states - shown, states) < relative(readings - shown, states)
 
 
+def biased(task, recording):
+    """What a sensor reads that is off by half a spread, everywhere alike."""
+    states, error, read = recording
+    wrong = 0.5 * states.std(0) * np.sign(np.random.default_rng(6).normal(size=states.shape[1]))
+    return states, expected_of(task, states, error), ReadRecording(read.readings + wrong, read.actions)
+
+
+def test_a_known_start_takes_an_offset_off_the_first_states(task, recording):
+    states, expected, read = biased(task, recording)
+    unknown = RecordingSmoother(task, task.domain("source"), expected, 64, 6)
+    known = replace(unknown, starts=states[:1] + 0.005 * np.random.default_rng(7).normal(size=(20, 17)))
+    first = slice(0, 15)
+    errors = [relative((s([read], 0)[0].states - states)[first], states) for s in (known, unknown)]
+    assert errors[0] < 0.6 * errors[1]
+
+
+def test_a_start_that_readings_are_far_from_is_not_believed(task, recording):
+    states, error, read = recording
+    expected, elsewhere = expected_of(task, states, error), states[:1] + 8 * states.std(0)
+    smooth = RecordingSmoother(task, task.domain("source"), expected, 64, 6)
+    found = replace(smooth, starts=elsewhere)([read], 0)[0]
+    assert found.lost[0] and not found.lost[1:].any()
+    assert relative(found.states - states, states) < 1.2 * relative(smooth([read], 0)[0].states - states, states)
+
+
 def test_threads_and_neighbours_change_nothing(task, recording):
     states, error, read = recording
     expected, short = expected_of(task, states, error), recording[2].first(12)
