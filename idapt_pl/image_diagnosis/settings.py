@@ -30,6 +30,8 @@ class DiscoverySettings:
         max_effects: stop after so many in a grounding step.
         looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
             frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
+        refine: put the parameters of what is found where simulations from known starts forecast the target's first
+            frames best. Episodes must begin alike in both.
         every_step: look again in every grounding step; False looks in the task-agnostic data alone.
     """
 
@@ -37,6 +39,7 @@ class DiscoverySettings:
     candidates: tuple[str, ...] = DEFAULT_CANDIDATES
     max_effects: int = 2
     looks: bool = False
+    refine: bool = False
     every_step: bool = True
 
     def __post_init__(self) -> None:

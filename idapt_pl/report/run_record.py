@@ -36,6 +36,7 @@ ORDER = (
     "estimator",
     "control",
     "effects",
+    "refined_effects",
     "dynamics",
     "selection",
     "reading_errors",

@@ -13,6 +13,7 @@ from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.refinement import refined_effects
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class SourceRepair:
             return found.to_dict()
 
         found = self.context.stages.measure(k, "effects", make)["effects"]
+        if self.settings.refine:
+            found = refined_effects(self.context, k, found, target, control, G, pi)
         self._add(k, found)
         return bool(found)
 

@@ -236,6 +236,22 @@ def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
     assert tried["factor"] == best[0] and len(tried["forecast_errors"]) > 3
 
 
+def test_effects_are_refined_on_a_runs_own_recordings(run):
+    """From images of the target and their actions; what is written is what the source is given."""
+    from idapt_pl.run import Run
+    from idapt_pl.stages.refinement import refined_effects
+
+    opened, folder = Run.open(run), run / "step_00"
+    G, pi = opened.load_visual(folder / "visual/final.ckpt"), opened.load_policy(folder / "policy/final.ckpt")
+    found = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": 20.0}}]
+    made = refined_effects(opened.context, 0, found, [folder / "target.h5"], folder / "source.h5", G, pi)
+    written = json.loads((folder / "refined_effects.json").read_text())
+    assert written["effects"] == made and made[0]["effect"] == "body_mass"
+    kept = written["error"]["after"] < written["error"]["before"]
+    assert made[0]["parameters"]["mass"] == (written["parameters"][0]["after"] if kept else 20.0)
+    assert refined_effects(opened.context, 1, [], [], folder / "none.h5", G, pi) == []
+
+
 def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeypatch, teacher, policy):
     """Not of the one that the stage began with."""
     stages, played = "idapt_pl.stages.on_estimates", []

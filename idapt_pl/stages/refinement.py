@@ -1,0 +1,155 @@
+"""Parameters of effects that were found, by how well simulations from known starts forecast what is read of images."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from datamodules.unpaired import read_all
+from idapt_pl.effects import Effect, effect_from_dict
+from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
+from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.smoothing import RecordingSmoother, reading_model
+from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.labels import known_starts, recordings_of
+from idapt_pl.tasks import Task
+
+RECORDINGS, STEPS, MEMBERS = 12, 40, 48
+"""Recordings, their first control steps, and simulations that follow each."""
+READING_ERROR = 6.0
+"""Times the error on translated images that readings are taken to have: so that they hardly move a simulation."""
+STRIDES = (0.2, 0.08)
+"""Of the logarithm of a parameter, in a first and a second round of five values."""
+
+Errors = Callable[[Sequence[Effect]], np.ndarray]
+"""Effects to the errors of forecasts of every recording, (n,)."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """An effect's parameter after refinement; ``log_halfwidth``: half of a 95 % interval of its logarithm."""
+
+    effect: str
+    target: str
+    parameter: str
+    before: float
+    after: float
+    log_halfwidth: float
+
+
+def refined_effects(
+    c: StageContext, step: int, found: list[dict], target: Sequence[Path], control: Path, G: VisualTransformation,
+    pi: AsymmetricSAC,
+) -> list[dict]:  # fmt: skip
+    """Found effects with refined parameters; ``refined_effects.json`` says what they were.
+
+    Where an episode begins is known, and for a while after it physics alone says where the robot is. What is then read
+    of images tells which value of a parameter is right, however little a single reading does.
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        found: effects, as they are written.
+        target: trajectory files, of which images and actions are used.
+        control: trajectory file of the source, images and states, that nothing was fitted to.
+        G: shows source images as target images.
+        pi: its encoder reads target images.
+    """
+    if not found:
+        return found
+
+    def make(seed: int) -> dict:
+        effects = [effect_from_dict(e) for e in found]
+        errors = forecast_errors_of(c, target, control, G, pi, seed)
+        better, how = refine_parameters(effects, errors)
+        scores = [float(errors(e).mean()) for e in (effects, better)]
+        kept = better if scores[1] < scores[0] else effects
+        return {
+            "effects": [e.to_dict() for e in kept],
+            "error": dict(zip(("before", "after"), scores, strict=True)),
+            "parameters": [dataclasses.asdict(r) for r in how],
+        }
+
+    return c.stages.measure(step, "refined_effects", make)["effects"]
+
+
+def forecast_errors_of(
+    c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int
+) -> Errors:
+    """How wrong forecasts of the target's first frames are, positions alone, in units of their spread."""
+    worlds, sensor = c.worlds, pi.estimator(G)
+    source, seen = read_all([control], also="state"), read_all(target)
+    known = replace(source, episodes=tuple(G.translate_episode(e) for e in source.episodes[:RECORDINGS]))
+    states = np.concatenate([e.observations["state"] for e in known])
+    readings = np.concatenate([r.readings for r in recordings_of(known, sensor, worlds.frame_stack)])
+    expected = reading_model(worlds.task, worlds.source_domain, readings, states).times(READING_ERROR)
+    first = replace(seen, episodes=seen.episodes[:RECORDINGS])
+    recordings = [r.first(STEPS) for r in recordings_of(first, sensor, worlds.frame_stack)]
+    smooth = RecordingSmoother(
+        worlds.task, worlds.source_domain, expected, MEMBERS, 0, torch.get_num_threads(), known_starts(worlds)
+    )
+    shown = position_components(worlds.task, states[0].astype(float))
+    scale = states.std(0)[shown] + 1e-9
+
+    def errors(effects: Sequence[Effect]) -> np.ndarray:
+        made = replace(smooth, domain=worlds.source_domain.with_effects(*effects))(recordings, seed)
+        return centred_errors([s.surprise[1:, shown] / scale for s in made])
+
+    return errors
+
+
+def centred_errors(surprises: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean absolute surprise of every recording, (n,), from surprises (T, c) less what is common to all.
+
+    A sensor that is off by something constant would else draw parameters to where the robot is off by as much.
+    """
+    common = np.concatenate(surprises).mean(0)
+    return np.array([np.abs(s - common).mean() for s in surprises])
+
+
+def position_components(task: Task, state: np.ndarray) -> list[int]:
+    """Which components of a state (s,) positions depend on."""
+    at = task.motion(state[None], 1.0)[0]
+    moved = (task.motion((state + step)[None], 1.0)[0] for step in 1e-3 * np.eye(len(state)))
+    return [i for i, qpos in enumerate(moved) if not np.allclose(qpos, at, atol=1e-9)]
+
+
+def refine_parameters(effects: Sequence[Effect], errors: Errors) -> tuple[list[Effect], list[Refined]]:
+    """One parameter after the other is put where a parabola through the errors at five values of it is lowest."""
+    now, how = list(effects), []
+    for i, name in scalars(effects):
+        before, spread = getattr(now[i], name), np.inf
+        for stride in STRIDES:
+            x = stride * np.arange(-2, 3)
+            tried = [scaled(now[i], name, float(np.exp(u))) for u in x]
+            scores = np.array([errors([*now[:i], e, *now[i + 1 :]]) for e in tried])
+            x = np.log([getattr(e, name) / getattr(now[i], name) for e in tried])  # some are at a bound
+            best, _ = parabola_minimum(x, scores.mean(1))
+            spread = minimum_uncertainty(x, scores) if len(scores[0]) > 1 else np.inf
+            now[i] = scaled(now[i], name, float(np.exp(best)))
+        how.append(Refined(now[i].name, now[i].target, name, before, getattr(now[i], name), spread))
+    return now, how
+
+
+def scalars(effects: Sequence[Effect]) -> list[tuple[int, str]]:
+    """Which effect, and which of its parameters, that are single numbers other than 0."""
+    return [
+        (i, f.name)
+        for i, e in enumerate(effects)
+        for f in dataclasses.fields(e)
+        if "unit" in f.metadata and isinstance(value := getattr(e, f.name), float | int) and value
+    ]
+
+
+def scaled(effect: Effect, name: str, factor: float) -> Effect:
+    """With a parameter that is so many times as large, within its bounds, to six digits."""
+    bounds = next(f.metadata for f in dataclasses.fields(effect) if f.name == name)
+    value = np.clip(getattr(effect, name) * factor, bounds["low"], bounds["high"])
+    changed: dict[str, Any] = {name: float(f"{value:.6g}")}
+    return replace(effect, **changed)

@@ -1,0 +1,78 @@
+"""Parameters of effects are found again from biased readings of episodes whose start is known; others stay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
+from idapt_pl.stages.refinement import (
+    READING_ERROR,
+    centred_errors,
+    position_components,
+    refine_parameters,
+    scalars,
+    scaled,
+)
+from idapt_pl.tasks import make_task
+
+TRUE = 12.0
+"""Mass of the torso, kg; nominal is 6.36."""
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Effects to errors of forecasts of what a biased sensor reads of a cheetah with a heavier torso."""
+    task, rng = make_task("half_cheetah"), np.random.default_rng(0)
+    source = task.domain("source")
+    env = VectorStateEnv(task, source.with_effects(BodyMass("torso", TRUE)), 6)
+    obs, _ = env.reset(seed=1)
+    states, actions = [obs["state"]], []
+    for _ in range(25):
+        actions.append(rng.uniform(-1, 1, (6, 6)).astype(np.float32))
+        states.append(env.step(actions[-1])[0]["state"])
+    env.close()
+    states, actions = np.asarray(states, float), np.asarray(actions, float)
+    spread = states.reshape(-1, 17).std(0)
+    read = states + spread * (0.2 * rng.normal(size=17) + 0.1 * rng.normal(size=states.shape))
+    rows = states.reshape(-1, 17)
+    expected = reading_model(task, source, rows + 0.1 * spread * rng.normal(size=rows.shape), rows).times(READING_ERROR)
+    with_starts = RecordingSmoother(task, source, expected, 16, 0, 1, states[0])
+    recordings = [ReadRecording(read[:, i], actions[:, i]) for i in range(6)]
+
+    def of(effects):
+        made = replace(with_starts, domain=source.with_effects(*effects))(recordings, 0)
+        return centred_errors([s.surprise[1:, :8] / spread[:8] for s in made])
+
+    return of
+
+
+@pytest.mark.parametrize("start", [8.5, 16.0])
+def test_a_mass_is_found_again(errors, start):
+    (found,), (how,) = refine_parameters([BodyMass("torso", start)], errors)
+    assert abs(np.log(found.mass / TRUE)) < 0.15 < abs(np.log(start / TRUE))
+    assert (how.before, how.after, how.parameter) == (start, found.mass, "mass")
+    assert abs(np.log(found.mass / TRUE)) < how.log_halfwidth < 0.5
+
+
+def test_what_is_right_stays(errors):
+    (mass, gain), how = refine_parameters([BodyMass("torso", TRUE), ActuatorGain("*", 1.0)], errors)
+    assert mass.mass == pytest.approx(TRUE, rel=0.1) and gain.gain == pytest.approx(1.0, rel=0.1)
+    assert [r.effect for r in how] == ["body_mass", "actuator_gain"]
+
+
+def test_parameters_stay_within_their_bounds():
+    effect = BodyMass("torso", TRUE)
+    assert scalars([effect]) == [(0, "mass")]
+    assert scaled(effect, "mass", 1e30).mass < 1e30 * TRUE
+    assert scaled(effect, "mass", 1.5).mass == 18.0
+
+
+def test_positions_are_told_from_velocities():
+    for name, count in (("walker2d", 8), ("half_cheetah", 8), ("inverted_pendulum", 2)):
+        task = make_task(name)
+        state = np.random.default_rng(0).normal(size=2 * count + (count > 2))
+        assert position_components(task, state) == list(range(count))
