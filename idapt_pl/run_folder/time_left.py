@@ -83,7 +83,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "estimator": 0.002 * config.feeding.state_predictor_batch * lengths.estimator * area,
         "control": 0.005 * s.images * looks,
         "effects": 250.0 * looks,
-        "refined_effects": 60.0 * (looks and config.effects.refine),
+        "refined_effects": 120.0 * (looks and config.effects.refine),
         "dynamics": 0.004 * config.feeding.garat_rollout * lengths.dynamics * (k > 0 and s.action_transformation),
         "teacher": 0.008 * t.adapt * (looks or (k > 0 and s.action_transformation)),
         "evaluation": 50.0,

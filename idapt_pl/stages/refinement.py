@@ -33,14 +33,16 @@ Errors = Callable[[Sequence[Effect]], np.ndarray]
 
 @dataclass(frozen=True)
 class Refined:
-    """An effect's parameter after refinement; ``log_halfwidth``: half of a 95 % interval of its logarithm."""
+    """An effect's parameter after refinement; ``log_halfwidth``: half of a 95 % interval of its logarithm, None from
+    a single recording.
+    """
 
     effect: str
     target: str
     parameter: str
     before: float
     after: float
-    log_halfwidth: float
+    log_halfwidth: float | None
 
 
 def refined_effects(
@@ -124,14 +126,14 @@ def refine_parameters(effects: Sequence[Effect], errors: Errors) -> tuple[list[E
     """One parameter after the other is put where a parabola through the errors at five values of it is lowest."""
     now, how = list(effects), []
     for i, name in scalars(effects):
-        before, spread = getattr(now[i], name), np.inf
+        before, spread = getattr(now[i], name), None
         for stride in STRIDES:
             x = stride * np.arange(-2, 3)
             tried = [scaled(now[i], name, float(np.exp(u))) for u in x]
             scores = np.array([errors([*now[:i], e, *now[i + 1 :]]) for e in tried])
             x = np.log([getattr(e, name) / getattr(now[i], name) for e in tried])  # some are at a bound
             best, _ = parabola_minimum(x, scores.mean(1))
-            spread = minimum_uncertainty(x, scores) if len(scores[0]) > 1 else np.inf
+            spread = minimum_uncertainty(x, scores) if len(scores[0]) > 1 else None
             now[i] = scaled(now[i], name, float(np.exp(best)))
         how.append(Refined(now[i].name, now[i].target, name, before, getattr(now[i], name), spread))
     return now, how

@@ -76,3 +76,8 @@ def test_positions_are_told_from_velocities():
         task = make_task(name)
         state = np.random.default_rng(0).normal(size=2 * count + (count > 2))
         assert position_components(task, state) == list(range(count))
+
+
+def test_a_single_recording_gives_no_interval():
+    (found,), (how,) = refine_parameters([BodyMass("torso", 9.0)], lambda e: np.array([np.log(e[0].mass / TRUE) ** 2]))
+    assert found.mass == pytest.approx(TRUE, rel=1e-3) and how.log_halfwidth is None
