@@ -1,7 +1,7 @@
 """How fast does each stage of a config train on this machine, and how long would the whole config take?
 
-    python benchmarks/stages.py                                  # walker_hard.yaml, the paper's size
-    python benchmarks/stages.py --config configs/pendulum_quick.yaml
+    python benchmarks/stages.py                                                                  # walker_hard.yaml
+    python benchmarks/stages.py --config configs/walker_hard.yaml configs/presets/paper.yaml     # the paper's size
 
 Every stage runs twice, shortened, with the config's own networks, images and batches; the difference of the two gives
 seconds a unit without the start-up. Writes results/stages.csv: what a unit is, its seconds, how many the config asks
@@ -19,10 +19,10 @@ import tempfile
 from pathlib import Path
 
 import torch
-import yaml
 from tables import replace_rows
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
 FIELDS = ("config", "stage", "unit", "seconds_each", "units", "hours", "device", "threads")
 LENGTHS = {
     # stage: unit, in the schedule, short and long, both in its unit
@@ -44,32 +44,40 @@ def overrides(lengths: dict[str, int]) -> dict[str, object]:
     }  # fmt: skip
 
 
-def seconds(config: Path, lengths: dict[str, int], folder: Path) -> dict[str, float]:
+def layers(configs: list[Path]) -> list[str]:
+    """The command line's options for configs, each laid over those before it."""
+    return [option for config in configs for option in ("--config", str(config))]
+
+
+def seconds(configs: list[Path], lengths: dict[str, int], folder: Path) -> dict[str, float]:
     """Seconds that every stage of the grounding step took, dynamics and the others."""
     values = {**overrides(lengths), "run_dir": folder}
-    command = [sys.executable, "-m", "cli", "fit", "--config", str(config), *(f"--{k}={v}" for k, v in values.items())]
+    command = [sys.executable, "-m", "cli", "fit", *layers(configs), *(f"--{k}={v}" for k, v in values.items())]
     subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     stages = json.loads((folder / "summary.json").read_text())["stages"]
     return {s["stage"]: s["wall_s"] for s in stages if s["step"] == 1 and s["stage"] in LENGTHS}
 
 
-def rows(config: Path) -> list[dict]:
-    """The table of one config."""
-    schedule = yaml.safe_load(config.read_text())
-    feeding, schedule = schedule.get("feeding", {}), schedule["schedule"]
+def rows(configs: list[Path]) -> list[dict]:
+    """The table of one config, and of presets laid over it."""
+    from cli.fit import GroundingCLI
+
+    whole = GroundingCLI(layers(configs)).config
+    schedule = whole.schedule
     with tempfile.TemporaryDirectory() as folder:
         times = [
-            seconds(config, {name: spec[i] for _, (_, name, *spec) in LENGTHS.items()}, Path(folder) / str(i))
+            seconds(configs, {name: spec[i] for _, (_, name, *spec) in LENGTHS.items()}, Path(folder) / str(i))
             for i in (0, 1)
         ]
     table = []
     for stage, (unit, name, short, long) in LENGTHS.items():
         size = ROLLOUT if stage == "dynamics" else 1
         each = (times[1][stage] - times[0][stage]) / ((long - short) * size)
-        units = schedule["pretrain"].get(name, 0) + schedule["grounding_steps"] * schedule["finetune"].get(name, 0)
-        units *= feeding.get("garat_rollout", 5000) if stage == "dynamics" else 1
+        units = schedule.pretrain[name] + schedule.grounding_steps * schedule.finetune[name]
+        units *= whole.feeding.garat_rollout if stage == "dynamics" else 1
         table.append({
-            "config": config.stem, "stage": stage, "unit": unit, "seconds_each": float(f"{each:.3g}"), "units": units,
+            "config": "+".join(c.stem for c in configs), "stage": stage, "unit": unit,
+            "seconds_each": float(f"{each:.3g}"), "units": units,
             "hours": round(each * units / 3600, 2), "threads": torch.get_num_threads(),
             "device": torch.cuda.get_device_name() if torch.cuda.is_available() else platform.machine(),
         })  # fmt: skip
@@ -79,7 +87,9 @@ def rows(config: Path) -> list[dict]:
 def main() -> None:
     """Run the benchmark; rows of other configs stay."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--config", type=Path, default=ROOT / "configs/walker_hard.yaml")
+    p.add_argument(
+        "--config", type=Path, nargs="+", default=[ROOT / "configs/walker_hard.yaml"], help="later over earlier"
+    )
     p.add_argument("--out", type=Path, default=ROOT / "results/stages.csv")
     o = p.parse_args()
     replace_rows(o.out, rows(o.config), ("config",), FIELDS)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 ALLOCATORS, LAYOUTS = ("as it comes", "keeps"), ("channels first", "channels last")
-CONFIGS = ("pendulum_quick", "cheetah_quick", "fetch_quick", "walker_hard")
+CONFIGS = ("pendulum_quick", "cheetah_quick", "fetch_quick", "walker_hard+presets/paper")
 BATCH, WARM_UP, STEPS = 32, 4, 15
 KEY = ("config", "allocator", "layout")
 
@@ -40,7 +40,9 @@ def measure(config: str, layout: str) -> float:
     from idapt_pl.tasks import make_task
 
     torch.set_num_threads(1)
-    settings = yaml.safe_load((ROOT / f"configs/{config}.yaml").read_text())
+    settings: dict = {}
+    for name in config.split("+"):
+        settings |= yaml.safe_load((ROOT / f"configs/{name}.yaml").read_text())
     task, size = make_task(settings["task"]), settings.get("image_size", 100)
     vision = Vision(**settings.get("vision", {}))
     model = task.domain("source").compile()
@@ -62,7 +64,12 @@ def main() -> None:
     """Measure in turns and keep the table."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--rounds", type=int, default=5)
-    p.add_argument("--configs", nargs="+", default=CONFIGS, help="names of files in configs/, without .yaml")
+    p.add_argument(
+        "--configs",
+        nargs="+",
+        default=CONFIGS,
+        help="in configs/, without .yaml; + lays one over another",
+    )
     p.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     o = p.parse_args()
     if o.one:
