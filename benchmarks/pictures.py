@@ -1,6 +1,7 @@
 """The pictures of the docs: the three domains, and a finished run's translation and transfer.
 
 python benchmarks/pictures.py --run runs/inverted_pendulum_hard_0
+python benchmarks/pictures.py --run runs/walker2d_hard_0 --gif walker.gif
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ def main() -> None:
     """Write the pictures."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--run", type=Path, help="finished run; without it only the domains are drawn")
+    p.add_argument("--gif", default="transfer.gif", help="name in docs/ of the run's picture")
     o = p.parse_args()
     iio.imwrite(DOCS / "domains.png", domains("inverted_pendulum"))
     if o.run:
-        (DOCS / "transfer.gif").write_bytes(transfer(o.run))
+        (DOCS / o.gif).write_bytes(transfer(o.run))
 
 
 if __name__ == "__main__":
