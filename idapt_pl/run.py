@@ -27,6 +27,7 @@ from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
+from idapt_pl.run_folder.results import effect_files
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
@@ -282,7 +283,7 @@ class Run:
             ValueError: if it is no run folder.
         """
         run = cls.create(RunConfig.read(folder), make_trainer)
-        for path in [*folder.glob("step_00/looks.json"), *sorted(folder.glob("step_*/effects.json"))]:
+        for path in (path for step in sorted(folder.glob("step_[0-9]*")) for path in effect_files(step)):
             with blaming(path):
                 run.worlds.add_effects([effect_from_dict(e) for e in read_json(path)["effects"]])
         return run

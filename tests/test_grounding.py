@@ -332,7 +332,23 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     (run / "step_01/effects.json").write_text(json.dumps({"effects": [hidden]}))
     source = Run.open(run).worlds.source_domain.compile()
     assert source.body("pole").mass[0] == pytest.approx(33.0)
+    refined = hidden | {"parameters": {"mass": 44.0}}
+    (run / "step_01/refined_effects.json").write_text(json.dumps({"effects": [refined]}))
+    source = Run.open(run).worlds.source_domain.compile()
+    assert source.body("pole").mass[0] == pytest.approx(44.0), "the refined ones are what the run went on with"
     assert Run.open(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
+
+
+def test_the_summary_tells_of_effects_as_they_were_refined(finished_run, tiny_args, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    (run / "config.yaml").write_text((run / "config.yaml").read_text().replace(str(finished_run), str(run)))
+    for name, mass in (("effects", 33.0), ("refined_effects", 44.0)):
+        found = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": mass}}]
+        written = {"step": 1, "stage": name, "wall_s": 1.0, "effects": found}
+        (run / f"step_01/{name}.json").write_text(json.dumps(written))
+    assert main(["fit", *tiny_args(run)]) == 0
+    assert [e["parameters"]["mass"] for e in json.loads((run / "summary.json").read_text())["effects"]] == [44.0]
 
 
 def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(finished_run, tmp_path, monkeypatch):

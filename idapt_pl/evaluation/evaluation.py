@@ -16,6 +16,7 @@ from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
+from idapt_pl.run_folder.results import effect_files
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -151,7 +152,7 @@ class Evaluation:
         grounded = [e["target"]["mean"] for e in evaluations[1:]]
         selections = {k: read_if_there(k, "selection") for k in range(1, steps + 1)}
         oracle = read_if_there(0, "oracle_evaluation")
-        found = [(k, read_if_there(k, name)) for k in range(steps + 1) for name in ("looks", "effects")]
+        found = [(k, read(k, path.stem)) for k in range(steps + 1) for path in effect_files(self.stages.folder(k))]
         stages = self.stages.timings()
         summary = {
             "task": self.worlds.task.name,
@@ -164,7 +165,7 @@ class Evaluation:
             "visual_only": evaluations[0]["target"]["mean"],
             "grounded": grounded + [evaluations[-1]["target"]["mean"]] * settled,  # the policy stays
             "settled": steps + 1 if settled else None,
-            "effects": [{"step": k} | e for k, result in found if result for e in result["effects"]],
+            "effects": [{"step": k} | e for k, result in found for e in result["effects"]],
             "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],
             "target_interactions": self.worlds.ledger.training_total,
             "wall_s": round(self.stages.elapsed(), 1),

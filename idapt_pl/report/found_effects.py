@@ -25,6 +25,25 @@ def found_effects_section(diagnosis: ImageDiagnosis, model: mujoco.MjModel) -> s
     return "".join([*parts, channel_details(diagnosis)])
 
 
+def refinement_section(refined: dict) -> str:
+    """Which values forecasts from known starts gave to what was found (``refined_effects.json``); empty if none."""
+    if not refined.get("parameters"):
+        return ""
+    error, rows = refined["error"], []
+    for p in refined["parameters"]:
+        before, after = format_number(p["before"]), format_number(p["after"])
+        spread = "-" if p["log_halfwidth"] is None else f"{format_number(100 * p['log_halfwidth'])} %"
+        rows.append(row(phrase_at(p["effect"], p["target"]), p["parameter"], f"#{before}", f"#{after}", f"#{spread}"))
+    better = error["after"] < error["before"]
+    said = (
+        "What was found was refined by forecasts that begin where episodes begin. Their error fell from "
+        if better
+        else "Forecasts that begin where episodes begin gave other values, which were not taken: their error goes from "
+    )
+    heads = ("effect", "parameter", "#found", "#refined", "#give or take (95 %)")
+    return paragraph(f"{said}{format_number(error['before'])} to {format_number(error['after'])}.") + table(heads, rows)
+
+
 def forecast_picture(example: ForecastExample) -> str:
     """An episode of the target and what forecasts it."""
     caption = (

@@ -66,6 +66,7 @@ class StepRecord:
         folder: ``RUN/step_<k>``.
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
+        refined: their parameters by forecasts from known starts, as in ``refined_effects.json``.
         selection: whether F was kept, as in ``selection.json``.
         labels: how wrong readings of the target are taken to be, as in ``reading_errors.json``.
         convergence: whether anything was left to learn, as in ``convergence.json``.
@@ -80,6 +81,7 @@ class StepRecord:
     folder: Path
     evaluation: dict
     diagnosis: ImageDiagnosis | None
+    refined: dict
     selection: dict
     labels: dict
     convergence: dict
@@ -214,6 +216,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         folder,
         evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
+        refined=files.read(folder / "refined_effects.json"),
         selection=files.read(folder / "selection.json"),
         labels=files.read(folder / "reading_errors.json"),
         convergence=files.read(folder / "convergence.json"),

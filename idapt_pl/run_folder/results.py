@@ -19,6 +19,16 @@ def read_result(path: Path) -> dict:
     return result
 
 
+def effect_files(folder: Path) -> list[Path]:
+    """The results that say which effects a grounding step, ``RUN/step_<k>``, added to the source.
+
+    Those of its pictures, then those of its physics: as refined, if they were.
+    """
+    refined = folder / "refined_effects.json"
+    physical = refined if refined.exists() else folder / "effects.json"
+    return [path for path in (folder / "looks.json", physical) if path.exists()]
+
+
 def belongs(path: Path, result: dict) -> bool:
     """Whether a result, as far as it says what it is, is that which a file should hold."""
     stage = path.parent.name if path.name == "stage.json" else path.stem

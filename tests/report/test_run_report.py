@@ -205,6 +205,23 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
     assert "10 % by which G and the sensor may mislead an estimate" in text
 
 
+def test_refined_parameters_are_told_taken_or_not(copied):
+    how = {"effect": "body_mass", "target": "pole", "parameter": "mass", "before": 187.0, "after": 195.0}
+    found = BY_WINDOWS.to_dict()
+    (copied / "step_02/effects.json").write_text(json.dumps(found))
+    refined = {"effects": found["effects"], "error": {"before": 0.35, "after": 0.25},
+               "parameters": [how | {"log_halfwidth": 0.2}]}  # fmt: skip
+    (copied / "step_02/refined_effects.json").write_text(json.dumps(refined))
+    text = report(copied).text
+    assert "refined by forecasts that begin where episodes begin. Their error fell from 0.35 to 0.25" in text
+    assert "mass of body pole mass 187 195 20 %" in text
+    refined |= {"error": {"before": 0.25, "after": 0.35}, "parameters": [how | {"log_halfwidth": None}]}
+    (copied / "step_02/refined_effects.json").write_text(json.dumps(refined))
+    text = report(copied).text
+    assert "gave other values, which were not taken: their error goes from 0.25 to 0.35" in text
+    assert "mass of body pole mass 187 195 -" in text
+
+
 def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):
     assert main(["report", "--run", str(tmp_path)]) == 1
     printed = capsys.readouterr()
