@@ -47,14 +47,16 @@ def test_every_stage_of_a_config_is_expected(name):
     assert beside.keys() < costs.keys() and (steps, "evaluation") in beside
 
 
-def test_no_stage_of_a_run_comes_as_a_surprise(tmp_path, caplog):
-    options = [f"--{k}={v}" for k, v in TINY.items()]
-    run = tmp_path / "run"
-    with caplog.at_level("INFO"):
-        assert main(["fit", "--config", "configs/pendulum_quick.yaml", "--run_dir", str(run), *options]) == 0
-    told = [line for line in caplog.messages if "left)" in line]
-    assert told and all("about" in line for line in told)
-    config = GroundingCLI(["--config", str(run / "config.yaml")]).run().config
-    stages = {(e["step"], e["stage"]) for e in json.loads((run / "summary.json").read_text())["stages"]}
+def test_no_stage_of_a_run_comes_as_a_surprise(finished_run):
+    config = GroundingCLI(["--config", str(finished_run / "config.yaml")]).run().config
+    stages = {(e["step"], e["stage"]) for e in json.loads((finished_run / "summary.json").read_text())["stages"]}
     unexpected = {name for k, name in stages - expected_seconds(config).keys()}
     assert unexpected <= {"selection", "source_start", "policy", "source_policy"}, "these cost nothing by themselves"
+
+
+def test_every_stage_tells_what_is_left(tmp_path, caplog):
+    options = [f"--{k}={v}" for k, v in (TINY | {"schedule.grounding_steps": 0, "run_dir": tmp_path / "run"}).items()]
+    with caplog.at_level("INFO"):
+        assert main(["fit", "--config", "configs/pendulum_quick.yaml", *options]) == 0
+    told = [line for line in caplog.messages if "left)" in line]
+    assert told and all("about" in line for line in told)
