@@ -29,7 +29,8 @@ from rendering import write_table
 
 from datamodules import Episode, Trajectories, UnpairedImages, write_trajectories
 from idapt_pl.cores import FreeCores
-from idapt_pl.run import Run, RunConfig
+from idapt_pl.run import Run
+from idapt_pl.run_config import RunConfig
 
 KEY = ("config", "how", "beside")
 HOW = ("one thread", "two threads", "two ways", "free")

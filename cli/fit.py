@@ -23,7 +23,8 @@ from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
 from idapt_pl.files import read_yaml
 from idapt_pl.report.run_page import write_run_report
-from idapt_pl.run import Run, RunConfig
+from idapt_pl.run import Run
+from idapt_pl.run_config import RunConfig
 from idapt_pl.run_folder.kept_config import without_retired
 from idapt_pl.run_folder.time_left import TimeLeft, expected_seconds
 from idapt_pl.stage import stage_trainer_settings

@@ -8,230 +8,30 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from jsonargparse import ArgumentParser, Namespace
 
-from idapt_pl.effects import View, effect_from_dict
+from idapt_pl.effects import effect_from_dict
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.image_diagnosis import DiscoverySettings
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
-from idapt_pl.modules.ranges import MODULE_RANGES
-from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
+from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rendering.parallel import usual_processes
+from idapt_pl.run_config import MODULES, RunConfig
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
-from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.run_folder.results import effect_files
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.distillation import Distillation, TeacherSettings
-from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings, ModuleFactories
-from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.stages.distillation import Distillation
+from idapt_pl.stages.settings import ModuleFactories
+from idapt_pl.tasks import make_task
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
-
-DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
-"""Constructor arguments that the task and the data determine, never typed in a config."""
-
-MODULES: dict[str, type] = {
-    "state_predictor": StatePredictor,
-    "visual": VisualTransformation,
-    "dynamics": ActionTransformation,
-    "policy": AsymmetricSAC,
-}
-"""What is learned, by its key in a config."""
-
-SETTINGS: dict[str, type] = {
-    "view": View,
-    "schedule": Schedule,
-    "effects": DiscoverySettings,
-    "feeding": BatchSettings,
-    "teacher": TeacherSettings,
-    "filter": FilterSettings,
-    "labels": LabelSettings,
-    "vision": Vision,
-}
-"""Everything else that a config sets, by its key."""
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """One config key for each thing there is.
-
-    Attributes:
-        task: name of the task.
-        target: name of the target domain.
-        seed: root seed; every stage derives its own.
-        run_dir: run folder; None for ``runs/<task>_<target>_<seed>``.
-        image_size: side of the rendered images, pixels.
-        frame_stack: K, frames in an observation.
-        render_processes: further processes that render; None for one on each core but one, at most 3.
-        threads: of torch; None for the cores that nobody else uses, looked at every few seconds.
-        side_by_side: run what does not depend on each other in two processes; None where a second core is free for it.
-        episodes: for each reported return.
-        oracle: also train the oracle reference in the target.
-        view: the part of the camera's image that is rendered.
-        schedule: what Algorithm 1 does, and for how long.
-        effects, feeding, teacher: whether effects are sought; sizes of batches and rollouts; a privileged teacher.
-        filter: how the policy's filter learns, if it has one.
-        labels: how images of the target get states to learn from, if they do.
-        vision: how images are looked at.
-        modules: constructor arguments of each of :data:`MODULES`.
-    """
-
-    task: str
-    target: str
-    seed: int
-    run_dir: str | None
-    image_size: int
-    frame_stack: int
-    render_processes: int | None
-    threads: int | None
-    side_by_side: bool | None
-    episodes: int
-    oracle: bool
-    view: View
-    schedule: Schedule
-    effects: DiscoverySettings
-    feeding: BatchSettings
-    teacher: TeacherSettings
-    filter: FilterSettings
-    labels: LabelSettings
-    vision: Vision
-    modules: dict[str, dict[str, Any]]
-
-    @staticmethod
-    def add_arguments(parser: ArgumentParser) -> None:
-        """Give a parser an option for every key."""
-        parser.add_argument("--seed", type=int, default=0, help="root seed; every stage derives its own")
-        parser.add_argument("--run_dir", type=str, default=None, help="run folder; default runs/<task>_<target>_<seed>")
-        parser.add_argument("--task", type=str, default="inverted_pendulum", help=f"one of: {', '.join(TASKS)}")
-        parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
-        parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
-        parser.add_argument(
-            "--render_processes",
-            type=int | None,
-            default=None,
-            help="further processes that render where several simulations run side by side; default one for each core "
-            "but one, at most 3. Images do not depend on it",
-        )
-        parser.add_argument(
-            "--threads",
-            type=int | None,
-            default=None,
-            help="threads that a stage computes with; default as many as there are cores that nobody else uses, looked "
-            "at every few seconds. With a fixed number two runs with one seed agree to the bit on a busy machine too",
-        )
-        parser.add_argument(
-            "--side_by_side",
-            type=bool | None,
-            default=None,
-            help="run what does not depend on each other (the source policy and G, an evaluation and the next step) in "
-            "two processes, with the same results; default where there are two cores and no GPU",
-        )
-        parser.add_class_arguments(View, "view")
-        parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
-        parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
-        parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
-        for name, settings in SETTINGS.items():
-            if name != "view":
-                parser.add_class_arguments(settings, name)
-        for name, module in MODULES.items():
-            skip = DIMENSIONS | ({"encoder"} if name == "dynamics" else set())
-            parser.add_class_arguments(module, name, skip=skip, instantiate=False)
-
-    @classmethod
-    def from_namespace(cls, config: Namespace) -> RunConfig:
-        """From what a parser with these options instantiated.
-
-        Raises:
-            ValueError: if settings contradict each other.
-        """
-        values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
-        made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
-        made.check_ranges()
-        made.check_encoder()
-        return made
-
-    @classmethod
-    def read(cls, folder: Path) -> RunConfig:
-        """The config of a run folder; keys that its version did not know yet have their defaults.
-
-        Raises:
-            ValueError: if it is no run folder, or its config makes no sense.
-        """
-        kept = read_kept_config(folder)
-        if kept is None:
-            raise ValueError(
-                f"{folder} is not a run folder: it has no config.yaml. Give the folder that `idapt fit` wrote."
-            )
-        parser = ArgumentParser(exit_on_error=False)
-        cls.add_arguments(parser)
-        known = {*cls.__dataclass_fields__, *MODULES} - {"modules"}
-        entries = {k: v for k, v in without_retired(kept).items() if k in known}
-        with blaming(folder / "config.yaml", "Give it the value that the run was started with."):
-            config = parser.parse_object(entries | {"run_dir": str(folder)})
-            fill_lengths(config.schedule, config.task, config.target)
-            return cls.from_namespace(parser.instantiate_classes(config))
-
-    def check_ranges(self) -> None:
-        """Numbers that can be right; the other settings check their own when they are made.
-
-        Raises:
-            ValueError: naming the first key that is out of its range.
-        """
-        top = {"seed": SEED, "image_size": IMAGE_SIZE, "frame_stack": Range(1, 64)}
-        check_ranges(
-            "",
-            vars(self),
-            top | {"episodes": Range(1, 1e6), "render_processes": Range(0, 256), "threads": Range(1, 1024)},
-        )
-        for name, ranges in MODULE_RANGES.items():
-            check_ranges(name, self.modules[name], ranges)
-        steps = {f"schedule.{part}.policy": getattr(self.schedule, part).policy for part in ("pretrain", "finetune")}
-        source = length_of(self.schedule.source_policy)
-        steps |= {"schedule.source_policy": source, "teacher.dagger": self.teacher.dagger}
-        for key, number in steps.items():
-            if 0 < number < self.feeding.num_envs:
-                raise ValueError(
-                    f"{key} is {number} steps for the {self.feeding.num_envs} simulations of feeding.num_envs: "
-                    "nothing would be trained. Give at least one step for each, or 0"
-                )
-
-    def check_encoder(self) -> None:
-        """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
-
-        Raises:
-            ValueError: if another one is to be.
-        """
-        encoder = self.modules["policy"]["encoder"]
-        for name in ("pretrain", "finetune"):
-            batches = getattr(self.schedule, name).estimator
-            if batches and encoder != "supervised":
-                raise ValueError(
-                    f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
-                    "only a supervised encoder is regressed on states. Set one or the other."
-                )
-        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.labels.members, self.schedule)
-        if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
-            raise ValueError(
-                f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
-                "states, those of a supervised encoder. Set one or the other."
-            )
-
-    @property
-    def folder(self) -> Path:
-        """The run folder."""
-        return Path(self.run_dir or f"runs/{self.task}_{self.target}_{self.seed}")
 
 
 @dataclass(frozen=True)
@@ -260,7 +60,7 @@ class Run:
         Raises:
             ValueError: an unknown task or target, or a task whose states the config's settings cannot work with.
         """
-        task = make_task(config.task)
+        task = make_task(config.task, config.task_options)
         ledger = Ledger(config.folder / "ledger.json")
         processes = usual_processes() if config.render_processes is None else config.render_processes
         worlds = Worlds(

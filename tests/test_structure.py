@@ -222,7 +222,8 @@ def test_diagnosis_reaches_nothing_that_learns():
 
 
 ROOT_MODULES = {
-    "grounding", "run", "stage", "worlds", "losses", "files", "checkpoints", "memory", "cores", "health", "ranges",
+    "grounding", "run", "run_config", "stage", "worlds", "losses", "files", "checkpoints", "memory", "cores",
+    "health", "ranges",
 }  # fmt: skip
 
 

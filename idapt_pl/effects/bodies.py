@@ -22,6 +22,13 @@ def heavy_bodies(model: mujoco.MjModel) -> list[tuple[str, float, float]]:
     return found
 
 
+def compiled_bodies(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The model of a spec with all its bodies, in the spec's order, also those that are fused with parents."""
+    twin = spec.copy()
+    twin.compiler.fusestatic = False
+    return twin.compile()
+
+
 @dataclass(frozen=True)
 class BodyMass(Effect):
     """Mass of a body. Its inertia scales along: the shape and density profile stay the same."""
@@ -32,9 +39,7 @@ class BodyMass(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         find_elements(spec, "bodies", self.target)  # raises if there is none
-        twin = spec.copy()
-        model = twin.compile()
-        masses = [float(model.body(b.id).mass[0]) for b in twin.bodies]
+        masses = compiled_bodies(spec).body_mass.tolist()
         for body, now in zip(spec.bodies, masses, strict=True):
             if self.target not in ("*", body.name):
                 continue
@@ -59,7 +64,7 @@ class BodyMass(Effect):
 def explicit_inertial(spec: mujoco.MjSpec, target: str) -> list[Any]:
     """Bodies with their mass, centre and inertia written out, as MuJoCo computes them from the geoms."""
     bodies = find_elements(spec, "bodies", target)
-    model = spec.copy().compile()
+    model = compiled_bodies(spec)
     for body in bodies:
         compiled = model.body(body.name) if body.name else model.body(body.id)
         if not body.explicitinertial or not np.isnan(body.fullinertia[0]):

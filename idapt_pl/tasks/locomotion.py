@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+from collections.abc import Mapping
 from typing import ClassVar
 
 import mujoco
@@ -35,7 +36,7 @@ class Locomotion(Task):
     velocity_limit: ClassVar[float] = np.inf
     direction: float = 1.0
     # State: z, pitch, six joints; then the velocities of x, z, pitch, joints. Nothing here is x itself.
-    rates: ClassVar[dict[int, int]] = {9 + i: i for i in range(8)}
+    rates: Mapping[int, int] = {9 + i: i for i in range(8)}
     unseen = ("rootx",)
 
     def base(self) -> mujoco.MjSpec:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import mujoco
@@ -42,7 +43,7 @@ class SawyerPush(Task):
     frame_skip = 75
     horizon = 70
     expert = ExpertRecipe(steps=30_000, gamma=0.95)
-    rates: ClassVar[dict[int, int]] = {7 + i: i for i in range(7)} | {16: 14, 17: 15}
+    rates: Mapping[int, int] = {7 + i: i for i in range(7)} | {16: 14, 17: 15}
     reach: ClassVar[float] = 0.06
     """Distance of puck and goal that counts as success [m]."""
     step_length: ClassVar[float] = 0.1

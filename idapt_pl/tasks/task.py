@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -26,14 +27,14 @@ class Task(ABC):
         expert: how a policy on true states is trained, for datasets, as a teacher and as a bound.
     """
 
-    name: ClassVar[str]
-    frame_skip: ClassVar[int]
-    action_repeat: ClassVar[int] = 1
-    horizon: ClassVar[int]
-    metric: ClassVar[str] = "return"
-    expert: ClassVar[ExpertRecipe] = ExpertRecipe(steps=50_000)
-    rates: ClassVar[dict[int, int]] = {}
-    unseen: ClassVar[tuple[str, ...]] = ()
+    name: str
+    frame_skip: int
+    action_repeat: int = 1
+    horizon: int
+    metric: str = "return"
+    expert: ExpertRecipe = ExpertRecipe(steps=50_000)
+    rates: Mapping[int, int] = MappingProxyType({})
+    unseen: tuple[str, ...] = ()
 
     @abstractmethod
     def base(self) -> mujoco.MjSpec:

@@ -6,7 +6,7 @@ from conftest import QUICK, ROOT, TINY
 
 from cli.fit import GroundingCLI
 from cli.main import main
-from idapt_pl.run import RunConfig
+from idapt_pl.run_config import RunConfig
 from idapt_pl.stages.distillation import TeacherSettings
 from idapt_pl.stages.schedule import Schedule, StageLengths
 

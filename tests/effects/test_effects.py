@@ -493,3 +493,14 @@ def test_a_joint_that_is_called_actuated_is_meant_by_its_name():
     )
     JointArmature("actuated", 0.3).apply(spec)
     assert [j.armature for j in spec.joints] == [0.3, 0.0]
+
+
+def test_masses_are_told_apart_where_static_bodies_are_fused_when_compiled():
+    """As MuJoCo does with URDF: the flange has no joint, and the compiled model no body of its name."""
+    xml = """<mujoco><compiler fusestatic="true"/><worldbody><body name="arm"><joint/><geom size="0.1" mass="2"/>
+      <body name="flange" pos="1 0 0"><geom size="0.1" mass="1"/></body></body></worldbody></mujoco>"""
+    masses = {}
+    for name, effects in {"as it is": (), "heavier": (BodyMass("arm", 5.0), BodyMass("flange", 3.0))}.items():
+        masses[name] = Domain("source", lambda: mujoco.MjSpec.from_string(xml), effects).compile().body_mass
+    assert [len(m) for m in masses.values()] == [2, 2] and masses["as it is"][1] == pytest.approx(3.0)
+    assert masses["heavier"][1] == pytest.approx(8.0)

@@ -1,0 +1,95 @@
+"""Tasks that are not this project's: from environments of others, and from the user's own modules."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from typing import Any
+
+from idapt_pl.tasks.task import Task
+
+SOURCES = "gymnasium:ID, dm_control:DOMAIN/TASK, or MODULE:NAME for a Task of your own"
+"""What a task's name can be besides the names there are."""
+
+
+def own_task(name: str, options: dict[str, Any]) -> Task:
+    """A task by a name with a colon in it.
+
+    Args:
+        name: one of :data:`SOURCES`.
+        options: of its constructor.
+
+    Raises:
+        ValueError: if it cannot be made; the errors of a user's own module are shown whole.
+    """
+    source, _, rest = name.partition(":")
+    if source == "gymnasium":
+        from idapt_pl.tasks.gymnasium_task import GymnasiumTask
+
+        return GymnasiumTask(rest, **options)
+    if source == "dm_control":
+        from idapt_pl.tasks.dm_control_task import DMControlTask  # 2 s to import
+
+        return DMControlTask(rest, **options)
+    made = import_from(name, "task")
+    task = call_users(made, f"task {name}", options) if callable(made) else made
+    if not isinstance(task, Task):
+        raise ValueError(
+            f"task {name} is {type(task).__name__}, not an idapt_pl.tasks.Task. Give a subclass of it, or a function "
+            "that returns one (docs/guide/own_robot.md)"
+        )
+    if not hasattr(task, "name"):
+        task.name = name
+    return task
+
+
+def import_from(path: str, what: str) -> Any:
+    """What ``module:name`` names; modules are looked for in the current folder too.
+
+    Args:
+        path: ``module:name``.
+        what: it is to be, for messages.
+
+    Raises:
+        ValueError: if there is no such thing, or the module fails, whose error is shown whole.
+    """
+    module_name, _, attribute = path.partition(":")
+    if not module_name or not attribute:
+        raise ValueError(f"{what} {path!r} is no import path; give MODULE:NAME, such as my_robot.task:Reach")
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # as `python -m` has it
+    try:
+        found = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not (module_name + ".").startswith(error.name + "."):
+            raise ValueError(whole(f"{what} {path}: its module fails")) from None
+        raise ValueError(
+            f"{what} {path}: there is no module {error.name!r} in {os.getcwd()} or among the installed packages"
+        ) from None
+    except Exception:
+        raise ValueError(whole(f"{what} {path}: its module fails")) from None
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            names = [name for name in vars(found) if not name.startswith("_")]
+            raise ValueError(f"{what} {path}: {found.__name__} has no {part!r}; it has: {', '.join(names)}")
+        found = getattr(found, part)
+    return found
+
+
+def call_users(made: Any, what: str, options: dict[str, Any]) -> Any:
+    """What a user's class or function gives.
+
+    Raises:
+        ValueError: if it fails; its error is shown whole.
+    """
+    try:
+        return made(**options)
+    except Exception:
+        raise ValueError(whole(f"{what} fails")) from None
+
+
+def whole(message: str) -> str:
+    """A message with the error that is being handled, as Python shows it."""
+    return f"{message}:\n{traceback.format_exc().rstrip()}"

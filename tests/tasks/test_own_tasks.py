@@ -1,0 +1,322 @@
+"""Tasks made of environments of others, and of the user's own modules."""
+
+import gc
+import weakref
+from contextlib import closing
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from dm_control import suite
+
+from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.joints import JointArmature
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.tasks import Task, make_task, robot_spec
+from idapt_pl.tasks.environment_task import EnvironmentTask
+
+URDF = """
+<robot name="arm">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="1"/>
+      <inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><origin xyz="0 0 -0.5"/><geometry><box size="0.1 0.1 1"/></geometry></visual></link>
+  <joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="5" velocity="10"/></joint>
+</robot>"""
+
+MODULE = '''
+"""An arm of the user's own: a URDF, a motor, a camera and a reward."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from idapt_pl.effects import Domain
+from idapt_pl.tasks import Task, robot_spec
+
+
+class Arm(Task):
+    frame_skip, horizon = 10, 20
+
+    def __init__(self, goal=1.0):
+        self.goal = goal
+
+    def base(self):
+        spec = robot_spec(Path(__file__).with_name("arm.urdf"))
+        spec.worldbody.add_light(pos=[0, -3, 3])
+        camera = spec.worldbody.add_camera(name="view", pos=[0, -4, 0])
+        camera.alt.type, camera.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, [1, 0, 0, 0, 0, 1]
+        spec.add_actuator(name="motor", target="hinge", trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-5, 5])
+        return spec
+
+    def domains(self):
+        return {"source": Domain("source", self.base)}
+
+    def reset(self, model, data, rng):
+        data.qpos[:] = rng.uniform(-0.1, 0.1)
+
+    def state(self, model, data):
+        return np.concatenate([data.qpos, data.qvel])
+
+    def outcome(self, model, data, action):
+        return -abs(float(data.qpos[0]) - self.goal), False
+
+
+def seven():
+    return 7
+
+
+def fails(**options):
+    raise RuntimeError(f"no robot on {options['port']}")
+'''
+
+
+def played(task, domain, rng, actions):
+    """States, rewards and ends of a task under the given actions."""
+    model = domain.compile()
+    data = mujoco.MjData(model)
+    task.reset(model, data, rng)
+    mujoco.mj_forward(model, data)
+    states, outcomes = [task.state(model, data)], []
+    for action in actions:
+        outcomes.append(task.step(model, data, action))
+        states.append(task.state(model, data))
+    return np.array(states), np.array(outcomes, float)
+
+
+def reference(env, seed, actions):
+    """The same of a Gymnasium environment."""
+    states, outcomes = [env.reset(seed=seed)[0]], []
+    for action in actions:
+        state, reward, over, *_ = env.step(action)
+        states.append(state)
+        outcomes.append((reward, over))
+    return np.array(states), np.array(outcomes, float)
+
+
+@pytest.mark.parametrize("name", ["HalfCheetah-v5", "Hopper-v5", "Reacher-v5"])
+def test_gymnasiums_environments_are_reproduced_to_the_bit(name):
+    env, task = gymnasium.make(name).unwrapped, make_task(f"gymnasium:{name}")
+    actions = np.random.default_rng(1).uniform(-1, 1, (40, env.model.nu)).astype(np.float32)
+    expected = reference(env, 3, actions)
+    got = played(task, task.domain("source"), gymnasium.utils.seeding.np_random(3)[0], actions)
+    np.testing.assert_array_equal(got[0], expected[0])
+    np.testing.assert_array_equal(got[1], expected[1])
+    assert name != "Hopper-v5" or expected[1][:, 1].any(), "it must fall for ends to be compared"
+    assert task.horizon == gymnasium.spec(name).max_episode_steps
+
+
+def test_an_environment_goes_on_with_the_repaired_model():
+    """Effects of a domain do to Gymnasium's environment what the same change of its model does."""
+    env, task = gymnasium.make("HalfCheetah-v5").unwrapped, make_task("gymnasium:HalfCheetah-v5")
+    domain = task.domain("source").with_effects(JointArmature("bthigh", 0.7))
+    env.model.dof_armature[env.model.joint("bthigh").dofadr] = 0.7
+    mujoco.mj_setConst(env.model, env.data)
+    actions = np.random.default_rng(1).uniform(-1, 1, (20, env.model.nu)).astype(np.float32)
+    changed = played(task, domain, gymnasium.utils.seeding.np_random(3)[0], actions)[0]
+    plain = played(task, task.domain("source"), gymnasium.utils.seeding.np_random(3)[0], actions)[0]
+    np.testing.assert_allclose(changed, reference(env, 3, actions)[0], atol=1e-9)
+    assert np.abs(changed - plain).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["cartpole/swingup", "cheetah/run", "walker/walk"])
+def test_dm_controls_tasks_are_reproduced(name):
+    task, rng = make_task(f"dm_control:{name}"), np.random.default_rng(3)
+    random = np.random.RandomState(np.random.default_rng(3).integers(2**31))
+    env = suite.load(*name.split("/"), task_kwargs={"random": random})
+    actions = np.random.default_rng(1).uniform(-1, 1, (30, env.action_spec().shape[0]))
+    steps = [env.reset(), *(env.step(action) for action in actions)]
+    expected = np.array([np.concatenate([np.ravel(part) for part in s.observation.values()]) for s in steps])
+    states, outcomes = played(task, task.domain("source"), rng, actions)
+    np.testing.assert_allclose(states, expected, atol=1e-8)
+    np.testing.assert_allclose(outcomes[:, 0], [s.reward for s in steps[1:]], atol=1e-8)
+    assert np.abs(states[-1] - states[0]).max() > 0.05
+    assert task.period(task.domain("source").compile()) == pytest.approx(env.control_timestep())
+
+
+def test_rewards_of_repeated_actions_are_summed_and_the_horizon_is_as_long_in_seconds():
+    once, thrice = make_task("gymnasium:Swimmer-v5"), make_task("gymnasium:Swimmer-v5", {"action_repeat": 3})
+    actions = np.random.default_rng(1).uniform(-1, 1, (4, 2))
+    rng = [gymnasium.utils.seeding.np_random(0)[0] for _ in range(2)]
+    _, single = played(once, once.domain("source"), rng[0], np.repeat(actions, 3, 0))
+    _, summed = played(thrice, thrice.domain("source"), rng[1], actions)
+    np.testing.assert_allclose(summed[:, 0], single[:, 0].reshape(4, 3).sum(1), atol=1e-9)
+    assert (once.horizon, thrice.horizon) == (1000, 333)
+
+
+@pytest.mark.parametrize("name", ["gymnasium:Hopper-v5", "dm_control:cartpole/balance"])
+def test_simulations_of_one_task_know_nothing_of_each_other(name):
+    task = make_task(name)
+    actions = np.random.default_rng(0).uniform(-1, 1, (6, 2, task.domain("source").compile().nu)).astype(np.float32)
+
+    def states(chosen):
+        with closing(VectorImageEnv(task, task.domain("source"), 2, 16, 1)) as env:
+            obs, _ = env.reset(seed=0)
+            return np.array([obs["state"], *(env.step(a)[0]["state"] for a in chosen)])
+
+    other = actions.copy()
+    other[:, 1] *= -1
+    before, after = states(actions), states(other)
+    np.testing.assert_array_equal(before[:, 0], after[:, 0])
+    assert np.abs(before[:, 1] - after[:, 1]).max() > 1e-3
+
+
+def test_simulations_are_not_kept_for_ever():
+    task = make_task("gymnasium:Swimmer-v5")
+    model = task.domain("source").compile()
+    data = mujoco.MjData(model)
+    task.reset(model, data, np.random.default_rng(0))
+    task.step(model, data, np.zeros(2))
+    gone = weakref.ref(data)
+    del data
+    gc.collect()
+    assert gone() is None
+
+
+TOLD = {
+    "gymnasium:HalfCheetah-v5": ({9 + i: i for i in range(8)}, ("rootx",)),
+    "gymnasium:Swimmer-v5": ({5: 0, 6: 1, 7: 2}, ("slider1", "slider2")),
+    "dm_control:cartpole/balance": ({3: 0}, ()),  # the angle is told by its cosine and sine
+}
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_positions_and_velocities_are_found_in_states(name):
+    task = make_task(name)
+    model, rng = task.domain("source").compile(), np.random.default_rng(0)
+    assert (dict(task.rates), task.unseen) == TOLD[name]
+    data, states, there = mujoco.MjData(model), [], []
+    task.reset(model, data, rng)
+    for _ in range(8):
+        task.step(model, data, rng.uniform(-1, 1, model.nu))
+        mujoco.mj_forward(model, data)
+        states.append(task.state(model, data))
+        there.append(np.concatenate([data.qpos, data.qvel]))
+    qpos, qvel = task.motion(np.array(states), task.period(model))
+    told = [i for i in range(model.nq) if model.joint(model.dof_jntid[i]).name not in task.unseen]
+    np.testing.assert_allclose(qpos[:, told], np.array(there)[:, told], atol=1e-9)
+    np.testing.assert_allclose(qvel, np.array(there)[:, model.nq :], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["gymnasium:Ant-v5", "dm_control:walker/walk"])
+def test_states_that_do_not_tell_positions_are_not_taken_to(name):
+    task = make_task(name)
+    with pytest.raises(ValueError, match="do not tell"):
+        task.motion(np.zeros((2, 200)), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("gymnasium:CartPole-v1", {}, r"not one of Gymnasium's MuJoCo environments.*target: \{env"),
+        ("gymnasium:Nope-v0", {}, "Nope"),
+        ("gymnasium:HalfCheetah-v5", {"wheels": 4}, "wheels"),
+        ("gymnasium:HalfCheetah-v5", {"action_repeat": 0}, "action_repeat is 0"),
+        ("dm_control:cartpole/fly", {}, "cartpole/swingup"),
+        ("dm_control:cartpole", {}, "cartpole/swingup"),
+        ("dm_control:cartpole/balance", {"wheels": 4}, "wheels"),
+        ("dm_control:reacher/easy", {}, "changes its model where an episode begins.*geom_pos"),
+        ("dm_control:lqr/lqr_2_1", {}, "no ctrlrange: motor_0"),
+        ("inverted_pendulum", {"camera": "side"}, "takes none"),
+        (":Arm", {}, "no import path"),
+        ("nothing_here:Arm", {}, "no module 'nothing_here'"),
+    ],
+)
+def test_what_cannot_be_a_task_is_one_sentence(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_task(name, options)
+
+
+def test_a_camera_that_is_not_there_is_an_error_that_lists_those_that_are():
+    with pytest.raises(ValueError, match=r"'side'; the cameras of gymnasium:HalfCheetah-v5 are: track"):
+        make_task("gymnasium:HalfCheetah-v5", {"camera": "side"})
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder with the user's module and URDF, from which the command is run."""
+    (tmp_path / "my_arm.py").write_text(MODULE)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    (tmp_path / "broken.py").write_text("import json\nassert json is None, 'my own mistake'\n")
+    (tmp_path / "needs.py").write_text("import a_driver_that_is_missing\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("own")
+def test_a_users_own_arm_from_a_urdf():
+    task = make_task("my_arm:Arm", {"goal": 0.5})
+    assert isinstance(task, Task) and task.name == "my_arm:Arm" and task.goal == 0.5
+    heavier = task.domain("source").with_effects(BodyMass("rod", 3.0))
+    ends = []
+    for domain in (task.domain("source"), heavier):
+        with closing(VectorImageEnv(task, domain, 1, 32, 1)) as env:
+            first = env.reset(seed=0)[0]["pixels"]
+            for _ in range(10):
+                obs, reward, *_ = env.step(np.full((1, 1), 5.0))
+            assert np.abs(obs["pixels"].astype(int) - first).max() > 50, "it must be seen to move"
+            assert reward[0] == pytest.approx(-abs(obs["state"][0, 0] - 0.5), abs=1e-6)
+            ends.append(obs["state"][0, 0])
+    assert ends[0] > 1.2 * ends[1] > 0
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("my_arm:Leg", {}, r"my_arm has no 'Leg'; it has: .*Arm"),
+        ("my_arm:seven", {}, "is int, not an idapt_pl.tasks.Task"),
+        ("my_arm:fails", {"port": "/dev/ttyUSB9"}, r"(?s)Traceback.*no robot on /dev/ttyUSB9"),
+        ("broken:Arm", {}, "(?s)Traceback.*my own mistake"),
+        ("needs:Arm", {}, "(?s)Traceback.*a_driver_that_is_missing"),
+    ],
+)
+def test_errors_of_a_users_module_are_shown_whole(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_task(name, options)
+
+
+def test_free_cameras_look_as_gymnasiums_do():
+    """Reacher has no camera of its own; the image is Gymnasium's, but for shadows and the sizes of round shapes."""
+    env = gymnasium.make("Reacher-v5", render_mode="rgb_array", width=64, height=64)
+    env.reset(seed=0)
+    theirs = env.render().astype(float)
+    task = make_task("gymnasium:Reacher-v5")
+    assert isinstance(task, EnvironmentTask)
+    with closing(VectorImageEnv(task, task.domain("source"), 1, 64, 1)) as ours:
+        ours.reset(seed=0)
+        image = ours.set_state(0, env.unwrapped.data.qpos, env.unwrapped.data.qvel).astype(float)
+    env.close()
+    assert np.corrcoef(image.ravel(), theirs.ravel())[0, 1] > 0.9
+
+
+MESH = """
+<robot name="arm">
+  <link name="base"/>
+  <link name="rod">
+    <inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="package://arm/rod.obj"/></geometry></visual></link>
+  <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+
+
+def test_meshes_of_a_urdf_are_looked_for_beside_it(tmp_path):
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    faces = [(1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "rod.obj").write_text("\n".join(lines))
+    (tmp_path / "arm.urdf").write_text(MESH)
+    model = robot_spec(tmp_path / "arm.urdf").compile()
+    assert (model.ngeom, model.nmesh) == (1, 1)
+
+
+@pytest.mark.parametrize("content", [None, "<robot", "<mujoco><bodies/></mujoco>"])
+def test_a_model_that_cannot_be_read_is_named(tmp_path, content):
+    path = tmp_path / "arm.xml"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ValueError, match=r"arm\.xml: cannot be read as a model"):
+        robot_spec(path)
