@@ -19,12 +19,12 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     table = Table(title=f"{summary['task']}: source -> {summary['target']} (seed {summary['seed']})")
     table.add_column("policy")
     table.add_column(f"target {summary['metric']}, mean of {summary['episodes']} episodes", justify="right")
-    table.add_row("direct transfer", f"{summary['direct_transfer']:.1f}")
+    table.add_row("direct transfer", told(summary["direct_transfer"]))
     repaired = any(e["step"] == 0 for e in summary["effects"])
-    table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", f"{summary['visual_only']:.1f}")
+    table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", told(summary["visual_only"]))
     for k, value in enumerate(summary["grounded"], 1):
         same = " (settled)" if k == summary["settled"] else ""
-        table.add_row(f"IDAPT, grounding step {k}{same}", f"{value:.1f}")
+        table.add_row(f"IDAPT, grounding step {k}{same}", told(value))
     table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
     console = Console()
     console.print(table)
@@ -40,3 +40,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
     console.print(f"the story of the run: {report}", soft_wrap=True)
     console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}", soft_wrap=True)
+
+
+def told(value: float | None) -> str:
+    """A return as the table has it."""
+    return "not measured" if value is None else f"{value:.1f}"

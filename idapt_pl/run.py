@@ -28,6 +28,7 @@ from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation
 from idapt_pl.stages.settings import ModuleFactories
+from idapt_pl.targets import make_target, target_name
 from idapt_pl.tasks import make_task
 from idapt_pl.worlds import Worlds
 
@@ -64,11 +65,13 @@ class Run:
         ledger = Ledger(config.folder / "ledger.json")
         processes = usual_processes() if config.render_processes is None else config.render_processes
         worlds = Worlds(
-            task, task.domain("source"), task.domain(config.target), ledger,
+            task, task.domain("source"), make_target(config.target, task), ledger,
             config.image_size, config.frame_stack, config.view, processes,
         )  # fmt: skip
         if config.effects.discover or config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
+        if config.oracle and not worlds.target.has_states:
+            raise ValueError(f"oracle: it would train on the states of {worlds.target.name}, which are not known")
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
@@ -129,7 +132,7 @@ class Run:
     @functools.cached_property
     def evaluation(self) -> Evaluation:
         """What measures it."""
-        return Evaluation(self.worlds, self.context.stages, self.config.episodes, self.config.target)
+        return Evaluation(self.worlds, self.context.stages, self.config.episodes, target_name(self.config.target))
 
     @functools.cached_property
     def grounding(self) -> IterativeGrounding:

@@ -20,6 +20,7 @@ from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stages.distillation import TeacherSettings
 from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of
 from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings
+from idapt_pl.targets import target_name
 from idapt_pl.tasks import SOURCES, TASKS
 
 DIMENSIONS = {"state_dim", "image_size", "frame_stack", "action_low", "action_high", "rates", "dt", "vision"}
@@ -53,7 +54,7 @@ class RunConfig:
     Attributes:
         task: name of the task.
         task_options: of the constructor of a task that is not one of ours.
-        target: name of the target domain.
+        target: name of the target domain, or what else it is (:mod:`idapt_pl.targets`).
         seed: root seed; every stage derives its own.
         run_dir: run folder; None for ``runs/<task>_<target>_<seed>``.
         image_size: side of the rendered images, pixels.
@@ -74,7 +75,7 @@ class RunConfig:
 
     task: str
     task_options: dict[str, Any]
-    target: str
+    target: str | dict[str, Any]
     seed: int
     run_dir: str | None
     image_size: int
@@ -108,7 +109,12 @@ class RunConfig:
             default={},
             help="of a task that is none of these: action_repeat, camera, expert_steps, and what its constructor takes",
         )
-        parser.add_argument("--target", type=str, default="hard", help="target domain: easy or hard")
+        parser.add_argument(
+            "--target",
+            type=dict[str, Any] | str,
+            default="hard",
+            help="target domain, easy or hard; or {env: MODULE:NAME}, {task: TASK} with what the guide says of them",
+        )
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
         parser.add_argument(
             "--render_processes",
@@ -224,7 +230,8 @@ class RunConfig:
     @property
     def folder(self) -> Path:
         """The run folder."""
-        return Path(self.run_dir or f"runs/{in_file_names(self.task)}_{self.target}_{self.seed}")
+        task, target = map(in_file_names, (self.task, target_name(self.target)))
+        return Path(self.run_dir or f"runs/{task}_{target}_{self.seed}")
 
 
 def in_file_names(name: str) -> str:

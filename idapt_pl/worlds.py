@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from idapt_pl.effects import WHOLE, Domain, Effect, View
-from idapt_pl.envs import BlindTarget, GroundedEnv, VectorImageEnv, VectorStateEnv
+from idapt_pl.envs import BlindTarget, GroundedEnv, ImageEnv, VectorImageEnv, VectorStateEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
+from idapt_pl.targets import Look, SimulatedTarget, Target
 from idapt_pl.tasks import Task
 
 
@@ -22,7 +23,7 @@ class Worlds:
 
     task: Task
     source_domain: Domain
-    target_domain: Domain
+    target: Target
     ledger: Ledger
     image_size: int
     frame_stack: int
@@ -68,15 +69,38 @@ class Worlds:
         """The target as training may see it: one robot, images and actions only, every step counted."""
         return BlindTarget(self.rewarded_target(1), self.ledger, step, "training")
 
-    def rewarded_target(self, num_envs: int) -> VectorImageEnv:
-        """The target with its reward: for evaluation and the oracle reference, never for the method."""
-        return self.image_env(self.target_domain, num_envs)
+    def rewarded_target(self, num_envs: int) -> ImageEnv:
+        """The target with its reward: for evaluation and the oracle reference, never for the method.
+
+        There are ``num_envs`` of it, or the one robot that there is.
+        """
+        return self.target.with_reward(num_envs, self.look)
+
+    def target_twin(self) -> VectorImageEnv | None:
+        """A simulation of the target that can be put into the source's states, for evaluation; None without one."""
+        return self.target.posable_twin(self.look)
 
     def image_env(self, domain: Domain, num_envs: int) -> VectorImageEnv:
         """A domain as the run's images show it."""
-        return VectorImageEnv(
-            self.task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes
-        )
+        return self.look.simulate(self.task, domain, num_envs)
+
+    @property
+    def look(self) -> Look:
+        """How the run looks at its worlds."""
+        return Look(self.image_size, self.frame_stack, self.view, self.render_processes)
+
+    @property
+    def target_domain(self) -> Domain:
+        """The target domain.
+
+        Raises:
+            ValueError: of targets that are none of the task's domains.
+        """
+        if not isinstance(self.target, SimulatedTarget):
+            raise ValueError(
+                f"the target {self.target.name} is no domain of {self.task.name}: nothing of its model is known"
+            )
+        return self.target.domain
 
     @property
     def dimensions(self) -> dict[str, Any]:
@@ -85,6 +109,11 @@ class Worlds:
         env.close()
         sizes = {"state_dim": env.state_dim, "image_size": self.image_size, "frame_stack": self.frame_stack}
         return sizes | {"rates": dict(self.task.rates), "dt": env.dt}
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+        return self.task.period(self.source_domain.compile())
 
     @property
     def action_bounds(self) -> dict[str, list[float]]:

@@ -1,9 +1,11 @@
-"""Image environments: a domain, the target as training may see it, and the grounded source."""
+"""Image environments: a domain, a robot, the target as training may see it, and the grounded source."""
 
+from idapt_pl.envs.action_map import MappedActions
 from idapt_pl.envs.grounded_env import GroundedEnv
 from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.envs.robot_env import RobotEnv, TargetFailed
 from idapt_pl.envs.state_env import StatesOnly, VectorStateEnv
-from idapt_pl.envs.target_env import BlindTarget
+from idapt_pl.envs.target_env import BlindTarget, PixelsOnly
 from idapt_pl.envs.wrapper import ImageEnv, ImageEnvWrapper
 
 __all__ = [
@@ -11,7 +13,11 @@ __all__ = [
     "GroundedEnv",
     "ImageEnv",
     "ImageEnvWrapper",
+    "MappedActions",
+    "PixelsOnly",
+    "RobotEnv",
     "StatesOnly",
+    "TargetFailed",
     "VectorImageEnv",
     "VectorStateEnv",
 ]

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import gymnasium
 
 from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.envs.robot_env import RobotEnv
 
 
 class ImageEnvWrapper(gymnasium.vector.VectorWrapper):
@@ -24,5 +25,5 @@ class ImageEnvWrapper(gymnasium.vector.VectorWrapper):
         return self.env.dt
 
 
-ImageEnv: TypeAlias = VectorImageEnv | ImageEnvWrapper
-"""Simulations of one domain that are stepped together, wrapped or not."""
+ImageEnv: TypeAlias = VectorImageEnv | RobotEnv | ImageEnvWrapper
+"""Simulations of one domain that are stepped together, or one robot; wrapped or not."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+from idapt_pl.envs import ImageEnv
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
@@ -39,18 +40,29 @@ class Evaluation:
         self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
 
     def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
-        """Return (or success) of a policy in the target, acting with its mean, and how wrong it is about the state."""
+        """Return (or success) of a policy in the target, acting with its mean, and how wrong it is about the state.
+
+        Empty where the target is not to be measured.
+        """
+        target = self.worlds.target
+        if not target.measured:
+            return {}
         env, act = self.worlds.rewarded_target(min(self.episodes, 25)), deterministic(policy)
         errors = EstimateErrors(act)
         with closing(env):
-            result = evaluate(env, act, self.episodes, seed, errors).to_dict()
+            result = evaluate(env, act, self.episodes, seed, errors if target.has_states else None).to_dict()
         return result | {"state_errors": errors.to_dict()}
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
-        result = self.stages.measure(0, "direct_transfer", lambda seed: self.target_return(policy, seed))
+
+        def make(seed: int) -> dict:
+            return self.target_return(policy, seed) or {"interactions": 0}
+
+        result = self.stages.measure(0, "direct_transfer", make)
         with blaming(self.stages.folder(0) / "direct_transfer.json"):
-            log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
+            if "mean" in result:
+                log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
             interactions = result["interactions"]
         self.worlds.ledger.enter(0, DIRECT_TRANSFER, interactions)
         return result
@@ -94,14 +106,15 @@ class Evaluation:
                     step,
                     100 * lost,
                 )
+            there = result["target"]
+            told = f"target return {there['mean']:.1f} ± {there['std']:.1f}" if there else "target not measured"
             log.info(
-                "step %d  target return %.1f ± %.1f, grounded %.1f; residual %s; translation %s",
+                "step %d  %s, grounded %.1f; residual %s; translation %s",
                 step,
-                result["target"]["mean"],
-                result["target"]["std"],
+                told,
                 result["grounded"]["mean"],
                 result.get("residual", "-"),
-                result["translation"],
+                result["translation"] or "-",
             )
             interactions = evaluation_interactions(folder, result)
         self.worlds.ledger.enter(step, "evaluation", interactions)
@@ -116,22 +129,23 @@ class Evaluation:
             Control steps in the target that the video shows.
         """
         folder = self.stages.folder(step)
-        scalars = {
-            "returns/target": result["target"]["mean"],
-            "returns/grounded": result["grounded"]["mean"],
-            "translation/psnr": result["translation"]["psnr"],
-        }
-        errors = result["target"]["state_errors"]
-        if "lost" in errors:
+        scalars = {"returns/grounded": result["grounded"]["mean"]}
+        if there := result["target"]:
+            scalars["returns/target"] = there["mean"]
+        if result["translation"]:
+            scalars["translation/psnr"] = result["translation"]["psnr"]
+        if "lost" in (errors := there.get("state_errors", {})):
             scalars["state/lost"] = errors["lost"]
         scalars |= {f"residual/{k}": v for k, v in result.get("residual", {}).items()}
         log_scalars(folder, scalars, step)
-        videos = []
-        for env in (self.worlds.grounded(1, G, F), self.worlds.rewarded_target(1)):
+        videos, envs = [], list[ImageEnv]([self.worlds.grounded(1, G, F)])
+        if self.worlds.target.measured:
+            envs.append(self.worlds.rewarded_target(1))
+        for env in envs:
             with closing(env):
                 videos.append(record_video(env, deterministic(policy), VIDEO_STEPS, seed=step))
         log_video(folder, VIDEO, side_by_side(*videos), step)
-        return VIDEO_STEPS
+        return VIDEO_STEPS * (len(videos) - 1)
 
     def summary(self, evaluations: Sequence[dict]) -> dict:
         """Write and return ``summary.json``.
@@ -149,7 +163,7 @@ class Evaluation:
 
         steps = len(evaluations) - 1
         settled = (read_if_there(steps + 1, "convergence") or {}).get("settled", False)
-        grounded = [e["target"]["mean"] for e in evaluations[1:]]
+        target = [e["target"].get("mean") for e in evaluations]
         selections = {k: read_if_there(k, "selection") for k in range(1, steps + 1)}
         oracle = read_if_there(0, "oracle_evaluation")
         found = [(k, read(k, path.stem)) for k in range(steps + 1) for path in effect_files(self.stages.folder(k))]
@@ -160,10 +174,10 @@ class Evaluation:
             "seed": self.stages.seed,
             "metric": self.worlds.task.metric,
             "episodes": self.episodes,
-            "direct_transfer": read(0, "direct_transfer")["mean"],
+            "direct_transfer": (read_if_there(0, "direct_transfer") or {}).get("mean"),
             "oracle": oracle["mean"] if oracle else None,
-            "visual_only": evaluations[0]["target"]["mean"],
-            "grounded": grounded + [evaluations[-1]["target"]["mean"]] * settled,  # the policy stays
+            "visual_only": target[0],
+            "grounded": target[1:] + target[-1:] * settled,  # the policy stays
             "settled": steps + 1 if settled else None,
             "effects": [{"step": k} | e for k, result in found for e in result["effects"]],
             "rolled_back": [k for k, s in selections.items() if s and s["rolled_back"]],

@@ -20,8 +20,12 @@ def paired_errors(
     Returns:
         ``psnr`` of G(o^S) against the target's image, dB; mean absolute state errors, one for each
         component: ``state_source`` P^S(o^S), ``state_translated`` P^T(G(o^S)), ``state_target`` P^T(o^T).
+        Empty where the target cannot be put into a state.
     """
-    source, target, states = paired_stacks(worlds, policy, G, steps, seed)
+    twin = worlds.target_twin()
+    if twin is None:
+        return {}
+    source, target, states = paired_stacks(worlds, twin, policy, G, steps, seed)
     n, k = source.shape[:2]
     frames = source if G.frames > 1 else source.reshape(n * k, 1, *source.shape[2:])
     fake = np.concatenate([G.translate(part) for part in np.array_split(frames, len(frames) // 64 + 1)]).reshape(
@@ -40,14 +44,14 @@ def paired_errors(
 
 
 def paired_stacks(
-    worlds: Worlds, policy: AsymmetricSAC, G: VisualTransformation, steps: int, seed: int
+    worlds: Worlds, twin: VectorImageEnv, policy: AsymmetricSAC, G: VisualTransformation, steps: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Source and target frame stacks of the same states, along a grounded rollout of ``policy``.
+    """Source and target frame stacks of the same states, along a grounded rollout of ``policy``; closes ``twin``.
 
     Returns:
         source (n, K, H, W, 3), target (n, K, H, W, 3), states (n, state_dim).
     """
-    env, twin = worlds.grounded(1, G), worlds.rewarded_target(1)
+    env = worlds.grounded(1, G)
     obs, _ = env.reset(seed=seed)
     source = env.unwrapped
     assert isinstance(source, VectorImageEnv)  # what a grounded environment wraps

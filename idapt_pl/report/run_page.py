@@ -27,6 +27,7 @@ from idapt_pl.report.run_record import RunRecord, read_run_record
 from idapt_pl.report.run_step import step_section
 from idapt_pl.report.run_wording import format_result, format_score, step_name
 from idapt_pl.run import Run
+from idapt_pl.targets import target_name
 
 ROLLED_BACK_CSS = "section.rolled { border-left: 6px solid #b4452c; }\n"
 """Marks steps whose F was rolled back."""
@@ -46,7 +47,7 @@ def run_page(record: RunRecord, run: Run) -> str:
     parts = [outcome_header(record, metric), missing_section(record), returns_section(record, metric)]
     parts += [step_section(record, step, metric, run) for step in record.steps]
     parts += [times_section(record), ledger_section(record), run_settings_section(record)]
-    title = f"{record.config['task']}: source to {record.config['target']}, seed {record.config['seed']}"
+    title = f"{record.config['task']}: source to {target_name(record.config['target'])}, seed {record.config['seed']}"
     return document(title, parts, TONE, ROLLED_BACK_CSS)
 
 
@@ -54,7 +55,10 @@ def outcome_header(record: RunRecord, metric: str) -> str:
     """The headline, and the numbers that matter."""
     c, last = record.config, record.evaluated[-1:]
     head = "No step has been evaluated yet"
-    if last:
+    if last and not last[0].evaluation["target"]:
+        grounded = format_score(last[0].evaluation["grounded"]["mean"], metric)
+        head = f"{metric.capitalize()} in the grounded source: {grounded}; the target is not measured"
+    elif last:
         head = f"{metric.capitalize()} in the target: {format_score(last[0].evaluation['target']['mean'], metric)}"
         if record.direct_transfer:
             head += f", where direct transfer has {format_score(record.direct_transfer['mean'], metric)}"
@@ -65,7 +69,7 @@ def outcome_header(record: RunRecord, metric: str) -> str:
     made.append(tile(f"{used:,}", "target interactions"))
     p = record.provenance
     about = [
-        f"{c['task']}, source to {c['target']}, seed {c['seed']}; {p.get('started', 'date unknown')[:10]}",
+        f"{c['task']}, source to {target_name(c['target'])}, seed {c['seed']}; {p.get('started', 'date unknown')[:10]}",
         f"commit {(p.get('git_commit') or 'unknown')[:10]}{'+dirty' * str(p.get('git_commit')).endswith('+dirty')}",
         f"idapt {p.get('versions', {}).get('idapt', '?')}",
         str(p.get("device", "device unknown")),
@@ -100,7 +104,7 @@ def missing_section(record: RunRecord) -> str:
 
 def returns_section(record: RunRecord, metric: str) -> str:
     """Returns against what they cost."""
-    if not record.evaluated:
+    if not any(s.evaluation["target"] for s in record.evaluated):
         return ""
     caption = "Every point is a policy, at the target interactions that had been used to make it. "
     caption += (
@@ -150,7 +154,10 @@ def run_settings_section(record: RunRecord) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in p.get("versions", {}).items())
     commits = dict.fromkeys([p.get("git_commit"), *(r.get("git_commit") for r in p.get("resumed", []))])
     rows = [
-        row("task", f"{record.config['task']}, target {record.config['target']}, seed {record.config['seed']}"),
+        row(
+            "task",
+            f"{record.config['task']}, target {target_name(record.config['target'])}, seed {record.config['seed']}",
+        ),
         row("started", p.get("started", "unknown: run.json is missing")),
         row("commits", ", ".join(str(c) for c in commits)),
         row("machine", f"{p.get('device', '?')}; {p.get('cpu', '?')}; {p.get('platform', '?')}"),

@@ -199,7 +199,7 @@ def read_run_record(run: Path) -> RunRecord:
         config,
         files.read(run / "run.json"),
         ledger,
-        files.read(first / "direct_transfer.json", ("mean", "std")),
+        direct if "mean" in (direct := files.read(first / "direct_transfer.json", ("interactions",))) else {},
         files.read(first / "oracle_evaluation.json", ("mean", "std")),
         [read_step_record(folder, ledger, files) for folder in sorted(run.glob("step_[0-9]*"))],
         files.unreadable,

@@ -125,7 +125,8 @@ def step_numbers(step: StepRecord, metric: str) -> str:
     if not step.evaluation:
         return ""
     t = step.evaluation["translation"]
-    rows = [row("PSNR of G against the target's image of the same state", f"#{format_number(t['psnr'])}", "dB")]
+    what = "PSNR of G against the target's image of the same state"
+    rows = [row(what, f"#{format_number(t['psnr'])}", "dB")] if t else []
     readers = {
         "state_source": "P^S reads off source images",
         "state_translated": "P^T off what G makes of them",
@@ -141,7 +142,8 @@ def step_numbers(step: StepRecord, metric: str) -> str:
             rows.append(
                 row(f"residual, {what}", f"#{format_distance(step.evaluation['residual'], key)}", "energy distance")
             )
-    every = step.evaluation["target"]["successes"] or step.evaluation["target"]["returns"]
-    rows.append(row(f"{metric} in the target, worst and best episode", f"#{min(every):g} to {max(every):g}", ""))
+    if there := step.evaluation["target"]:
+        every = there["successes"] or there["returns"]
+        rows.append(row(f"{metric} in the target, worst and best episode", f"#{min(every):g} to {max(every):g}", ""))
     note = paragraph("For evaluation only, with source and target put into the same states.", "small")
     return details("Errors and returns", table(("what", "#value", "unit"), rows), note)

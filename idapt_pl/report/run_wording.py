@@ -44,7 +44,8 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
         stages = ", ".join(step.seconds) or "nothing"
         return [*sentences, f"This step did not end: there is no evaluation. Finished in it: {stages}.", *away]
     before = [record.direct_transfer, *(s.evaluation["target"] for s in record.evaluated if s.k < step.k)][-1]
-    now = f"{metric.capitalize()} in the target: {format_result(step.evaluation['target'], metric)}"
+    there = step.evaluation["target"]
+    now = f"{metric.capitalize()} in the target: {format_result(there, metric) if there else 'not measured'}"
     now += f", {format_score(before['mean'], metric)} before" if before else ""
     place = len(sentences)
     sentences.append(f"{now}; in the grounded source: {format_score(step.evaluation['grounded']['mean'], metric)}.")
@@ -56,8 +57,9 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
             f"{format_number(residual['noise_floor'])} apart (energy distance of transitions, ± the standard "
             "deviation over rollouts)."
         )
-    psnr = step.evaluation["translation"]["psnr"]
-    sentences[place] += f" What G draws is {format_number(psnr)} dB (PSNR) from the target's image of the same state."
+    if translation := step.evaluation["translation"]:
+        psnr = format_number(translation["psnr"])
+        sentences[place] += f" What G draws is {psnr} dB (PSNR) from the target's image of the same state."
     if step.training.get("kept") == "before":
         before, after = (format_score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))
         sentences.append(

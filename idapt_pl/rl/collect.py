@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from datamodules import Episode, Trajectories
@@ -9,7 +11,10 @@ from idapt_pl.envs import ImageEnv
 from idapt_pl.rl.policy import Policy, tick
 
 
-def collect(env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels") -> Trajectories:
+def collect(
+    env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels",
+    keep: Callable[[Episode], None] | None = None,
+) -> Trajectories:  # fmt: skip
     """Exactly ``steps`` control steps, cut into episodes; the last one of each simulation may be unfinished.
 
     States and rewards are recorded where the environment shows them, which the target does not.
@@ -21,8 +26,9 @@ def collect(env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixe
         seed: of the environment's resets.
         source: free text for the file.
         pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
+        keep: is given every episode when it ends, and the one that is under way when something fails.
     """
-    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels))
+    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels, keep))
     return Trajectories(episodes, env.dt, source)
 
 
@@ -33,24 +39,35 @@ def collect_each(env: ImageEnv, act: Policy, steps: int, seed: int) -> list[Traj
     return [Trajectories(episodes, env.dt, "") for episodes in of_each]
 
 
-def play(env: ImageEnv, act: Policy, steps: int, seed: int, pixels: str) -> list[tuple[int, Episode]]:
+def play(
+    env: ImageEnv, act: Policy, steps: int, seed: int, pixels: str, keep: Callable[[Episode], None] | None = None
+) -> list[tuple[int, Episode]]:
     """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
     obs, _ = env.reset(seed=seed)
     labelled = "state" in obs
     episodes: list[tuple[int, Episode]] = []
     running = [_EpisodeBuilder(obs, i, pixels) for i in range(env.num_envs)]
     taken = 0
-    while taken < steps:
-        actions = act(obs["pixels"])
-        obs, rewards, terminations, truncations, infos = env.step(actions)
-        tick(act, terminations | truncations)
-        successor = infos.get("final_obs", obs)
-        taken += env.num_envs
-        for i, builder in enumerate(running):
-            builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
-            if terminations[i] or truncations[i] or taken >= steps:
-                episodes.append((i, builder.finish(labelled)))
-                running[i] = _EpisodeBuilder(obs, i, pixels)
+    try:
+        while taken < steps:
+            actions = act(obs["pixels"])
+            obs, rewards, terminations, truncations, infos = env.step(actions)
+            tick(act, terminations | truncations)
+            successor = infos.get("final_obs", obs)
+            taken += env.num_envs
+            for i, builder in enumerate(running):
+                builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
+                if terminations[i] or truncations[i] or taken >= steps:
+                    episodes.append((i, builder.finish(labelled)))
+                    running[i] = _EpisodeBuilder(obs, i, pixels)
+                    if keep is not None:
+                        keep(episodes[-1][1])
+    except BaseException:  # also of a person who stops a robot
+        if keep is not None:
+            for builder in running:
+                if builder.actions:
+                    keep(builder.finish(labelled))
+        raise
     return episodes
 
 

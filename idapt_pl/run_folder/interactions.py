@@ -11,6 +11,7 @@ from typing import Any
 
 from datamodules.trajectories import count_steps
 from idapt_pl.files import blaming, read_json, verify
+from idapt_pl.run_folder.kept_episodes import PARTS
 from idapt_pl.run_folder.results import read_result, step_of
 
 VIDEO = "policy_in_grounded_and_target"
@@ -34,7 +35,7 @@ def evaluation_interactions(folder: Path, result: dict) -> int:
         result: its ``evaluation.json``.
     """
     older = VIDEO_STEPS if (folder / f"{VIDEO}.gif").exists() else 0
-    return result["target"]["interactions"] + result.get("video_interactions", older)
+    return result["target"].get("interactions", 0) + result.get("video_interactions", older)
 
 
 def oracle_interactions(recording: Path, num_envs: int, warmup_steps: int) -> int:
@@ -89,6 +90,8 @@ def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list
         for name, (purpose, count) in counted_files(step, num_envs, warmup_steps).items():
             if (folder / name).exists():
                 collect(folder / name, partial(counted_entries, step, purpose, count))
+        if (folder / PARTS).exists() and not (folder / "target.h5").exists():
+            collect(folder / PARTS, partial(counted_entries, step, "training", parts_steps))
     for path in sorted(run.glob("evaluation_*.json")):
         collect(path, later_entries)
     return entries, unreadable
@@ -118,6 +121,11 @@ def recorded_steps(path: Path) -> int:
     """Control steps of a recording that is as it was written."""
     verify(path)
     return count_steps(path)
+
+
+def parts_steps(folder: Path) -> int:
+    """Control steps of a recording that is not complete."""
+    return sum(map(recorded_steps, sorted(folder.glob("*.h5"))))
 
 
 def measured_steps(path: Path) -> int:

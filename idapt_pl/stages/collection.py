@@ -9,11 +9,12 @@ from pathlib import Path
 import torch
 
 from datamodules import Trajectories
-from idapt_pl.envs import VectorStateEnv
+from idapt_pl.envs import TargetFailed, VectorStateEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
 from idapt_pl.rl.policy import Acting, Policy
+from idapt_pl.run_folder.kept_episodes import KeptEpisodes
 from idapt_pl.stages.context import StageContext
 
 MakePolicy = Callable[[int], Policy]
@@ -36,14 +37,36 @@ def source_teacher(c: StageContext) -> StateSAC:
 
 
 def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) -> Path:
-    """``target.h5`` of a grounding step: so many control steps in the target, images and actions, on the ledger."""
+    """``target.h5`` of a grounding step: so many control steps in the target, images and actions, on the ledger.
+
+    What a target that cannot be played again showed before it failed, or the run was stopped, is gone on with.
+
+    Raises:
+        TargetFailed: if the target fails; the message says what is kept.
+    """
+    about = f"{c.worlds.task.name} target, step {k}"
+    kept = KeptEpisodes(c.stages.folder(k), c.worlds.period, about)
 
     def make(seed: int) -> Trajectories:
-        with closing(c.worlds.blind_target(k)) as env:
-            return collect(env, make_policy(seed), steps, seed, f"{c.worlds.task.name} target, step {k}")
+        before = kept.read()
+        c.worlds.ledger.count(k, "training", kept.steps)
+        if (left := steps - kept.steps) > 0:
+            with closing(c.worlds.blind_target(k)) as env:
+                keep = None if c.worlds.target.repeatable else kept.add
+                played = collect(env, make_policy(seed + len(before)), left, seed + len(before), about, keep=keep)
+            before.extend(played)
+        return Trajectories(tuple(before), kept.dt, about)
 
-    path, taken = c.stages.record(k, "target", make)
+    try:
+        path, taken = c.stages.record(k, "target", make)
+    except TargetFailed as failure:
+        c.worlds.ledger.enter(k, "training", kept.steps)
+        raise TargetFailed(
+            f"{failure}. {kept.steps} of {steps} control steps of grounding step {k} are kept; when the target works "
+            "again, the same command goes on"
+        ) from failure
     c.worlds.ledger.enter(k, "training", taken)
+    kept.forget()
     return path
 
 

@@ -12,6 +12,7 @@ from idapt_pl.envs import BlindTarget, VectorImageEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.files import read_json
 from idapt_pl.rl.collect import collect
+from idapt_pl.targets import SimulatedTarget
 from idapt_pl.worlds import Worlds
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +61,7 @@ def test_collected_target_data_have_no_reward_no_state_and_no_reason_for_an_end(
 
 
 def test_runs_hand_training_a_blind_target(cart, ledger):
-    worlds = Worlds(cart, cart.domain("source"), cart.domain("hard"), ledger, 16, 2)
+    worlds = Worlds(cart, cart.domain("source"), SimulatedTarget(cart, cart.domain("hard")), ledger, 16, 2)
     env = worlds.blind_target(1)
     assert isinstance(env, BlindTarget) and env.num_envs == 1
     env.close()
@@ -100,10 +101,15 @@ def test_evaluation_and_oracle_are_on_the_ledger_but_not_in_the_methods_total(le
 
 # --- who may reach the target at all, read from the source ----------------------------------------------
 
-NAMES = {"target_domain", "rewarded_target", "blind_target", "BlindTarget", "unwrapped"}
+NAMES = {
+    "target_domain", "rewarded_target", "blind_target", "BlindTarget", "unwrapped", "target_twin", "posable_twin",
+    "with_reward", "make_target", "make_robot", "SimulatedTarget", "OtherTaskTarget", "RobotTarget",
+}  # fmt: skip
 """Ways to the target, as identifiers, attributes or strings: what makes it, what shows it, what takes a wrapper off."""
 
 EVALUATION = "evaluation: what the policy earns in the target is told, and nothing is trained on it"
+CONFIG = "makes a target as a config describes it, for a run's worlds"
+DEFINED = "says what targets are"
 MADE_HERE = "makes the target, for evaluation with its reward and for training behind BlindTarget"
 
 REACH_THE_TARGET: dict[tuple[str, str], str] = {
@@ -113,10 +119,31 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/worlds.py", "BlindTarget"): MADE_HERE,
     ("idapt_pl/envs/target_env.py", "BlindTarget"): "defines what training sees",
     ("idapt_pl/envs/__init__.py", "BlindTarget"): "exports it",
-    ("idapt_pl/run.py", ".domain(config.target)"): "opens a run: the only place where a config names its target",
+    ("idapt_pl/worlds.py", "with_reward"): MADE_HERE,
+    ("idapt_pl/worlds.py", "target_twin"): MADE_HERE,
+    ("idapt_pl/worlds.py", "posable_twin"): MADE_HERE,
+    ("idapt_pl/worlds.py", "SimulatedTarget"): "to say that another target's model is not known",
+    ("idapt_pl/targets/target.py", "with_reward"): DEFINED,
+    ("idapt_pl/targets/target.py", "posable_twin"): DEFINED,
+    ("idapt_pl/targets/target.py", "SimulatedTarget"): DEFINED,
+    ("idapt_pl/targets/target.py", "OtherTaskTarget"): DEFINED,
+    ("idapt_pl/targets/target.py", "RobotTarget"): DEFINED,
+    ("idapt_pl/targets/__init__.py", "make_target"): "exports it",
+    ("idapt_pl/targets/__init__.py", "SimulatedTarget"): "exports it",
+    ("idapt_pl/targets/__init__.py", "OtherTaskTarget"): "exports it",
+    ("idapt_pl/targets/__init__.py", "RobotTarget"): "exports it",
+    ("idapt_pl/targets/from_config.py", "make_target"): CONFIG,
+    ("idapt_pl/targets/from_config.py", "make_robot"): CONFIG,
+    ("idapt_pl/targets/from_config.py", "SimulatedTarget"): CONFIG,
+    ("idapt_pl/targets/from_config.py", "OtherTaskTarget"): CONFIG,
+    ("idapt_pl/targets/from_config.py", "RobotTarget"): CONFIG,
+    ("idapt_pl/targets/from_config.py", ".domain(said)"): CONFIG,
+    ("idapt_pl/targets/from_config.py", "unwrapped"): "reads the control period of a robot",
+    ("idapt_pl/tasks/gymnasium_task.py", "unwrapped"): "the source's own environment",
+    ("idapt_pl/run.py", "make_target"): "opens a run: the only place where a config names its target",
     ("idapt_pl/stages/collection.py", "blind_target"): "records images and actions: the method's interactions",
     ("idapt_pl/evaluation/evaluation.py", "rewarded_target"): EVALUATION,
-    ("idapt_pl/evaluation/paired.py", "rewarded_target"): EVALUATION,
+    ("idapt_pl/evaluation/paired.py", "target_twin"): EVALUATION,
     ("idapt_pl/evaluation/paired.py", "unwrapped"): EVALUATION + "; states are put into its source, not read",
     ("idapt_pl/baselines/oracle.py", "rewarded_target"): "the oracle is trained in the target, as a reference",
     ("idapt_pl/report/gallery.py", ".domains()"): "pictures of all domains, for people",
@@ -197,6 +224,8 @@ def test_the_code_that_trains_is_guarded():
         ("def f(worlds): make = worlds.rewarded_target; return make(1)", "rewarded_target"),
         ("from x import rewarded_target as source", "rewarded_target"),
         ("def f(worlds): return worlds.target_domain.compile()", "target_domain"),
+        ("def f(worlds): return worlds.target.with_reward(1, worlds.look)", "with_reward"),
+        ("def f(worlds): return worlds.target_twin().data[0].qpos", "target_twin"),
         ("def f(target_domain): return target_domain", "target_domain"),
         ("def f(worlds): return vars(worlds)['target_domain']", "target_domain"),
         ("def f(make): return make(target_domain=1)", "target_domain"),

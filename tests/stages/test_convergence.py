@@ -17,6 +17,7 @@ from idapt_pl.rl.collect import collect
 from idapt_pl.stage import Stages
 from idapt_pl.stages.convergence import Convergence, check_convergence
 from idapt_pl.stages.rollback import distance_draws
+from idapt_pl.targets import SimulatedTarget
 from idapt_pl.worlds import Worlds
 
 
@@ -56,7 +57,14 @@ class Pushing:
 
 @pytest.fixture
 def context(cart, tmp_path):
-    worlds = Worlds(cart, cart.domain("source"), cart.domain("source"), Ledger(tmp_path / "ledger.json"), 32, 2)
+    worlds = Worlds(
+        cart,
+        cart.domain("source"),
+        SimulatedTarget(cart, cart.domain("source")),
+        Ledger(tmp_path / "ledger.json"),
+        32,
+        2,
+    )
     make = SimpleNamespace(dynamics=lambda encoder, **bounds: make_F())
     return SimpleNamespace(worlds=worlds, stages=Stages(tmp_path / "run", 0, None), make=make, batches=None)
 

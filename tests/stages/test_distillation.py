@@ -23,6 +23,7 @@ from idapt_pl.stages.distillation import (
     copy_critics,
     teacher_labels,
 )
+from idapt_pl.targets import SimulatedTarget
 from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.worlds import Worlds
 
@@ -141,7 +142,9 @@ def test_an_environment_of_states_plays_as_the_grounded_source_behind_it(cart):
 def teaching(cart, tmp_path, monkeypatch):
     recipe = ExpertRecipe(steps=1, warmup_steps=10, num_envs=2, batch=8)
     monkeypatch.setattr(type(cart), "expert", recipe)
-    worlds = Worlds(cart, cart.domain("source"), cart.domain("hard"), Ledger(tmp_path / "ledger.json"), 16, 2)
+    worlds = Worlds(
+        cart, cart.domain("source"), SimulatedTarget(cart, cart.domain("hard")), Ledger(tmp_path / "ledger.json"), 16, 2
+    )
     stages = Stages(tmp_path, 0, cpu_trainer)
     return Distillation(worlds, stages, TeacherSettings(20, 20, 20), num_envs=2, batch=8, memory=100)
 

@@ -30,6 +30,7 @@ from idapt_pl.stages.rollback import (
     compare_transformations,
     unpredicted_change,
 )
+from idapt_pl.targets import SimulatedTarget
 from idapt_pl.worlds import Worlds
 
 # --- what is held out -----------------------------------------------------------------------------------
@@ -169,7 +170,9 @@ def worlds(cart, tmp_path, monkeypatch):
     """A source, and a target in which commands do half as much, that nobody may make again."""
     half = effect_from_dict({"effect": "actuator_gain", "target": "push", "parameters": {"gain": 0.5}})
     source = cart.domain("source")
-    worlds = Worlds(cart, source, source.with_effects(half), Ledger(tmp_path / "ledger.json"), 64, 2)
+    worlds = Worlds(
+        cart, source, SimulatedTarget(cart, source.with_effects(half)), Ledger(tmp_path / "ledger.json"), 64, 2
+    )
     with_target = worlds.blind_target(1)
     write_trajectories(tmp_path / "target.h5", collect(with_target, Centering().act, 1000, 1, ""))
     with_target.close()

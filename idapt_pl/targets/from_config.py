@@ -1,0 +1,132 @@
+"""What ``target`` says in a config."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from idapt_pl.envs.robot_env import RobotSettings
+from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.targets.target import OtherTaskTarget, RobotTarget, SimulatedTarget, Target
+from idapt_pl.tasks import Task, make_task
+from idapt_pl.tasks.own import call_users, import_from
+
+TARGET_KINDS = ("env", "task")
+"""What a target that is described can be."""
+
+KEYS = {
+    "env": {"env", "name", "options", "actions", "horizon", "repeat", "pixels", "attended", "patience", "measure"},
+    "task": {"task", "name", "options", "actions"},
+}
+"""Of the description of each kind."""
+
+SAME_PERIOD = 0.01
+"""Share by which the control periods of source and target may differ."""
+
+
+def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
+    """The target that a config describes.
+
+    Args:
+        said: the name of a domain, or what else it is (docs/guide/own_robot.md).
+        task: of the source.
+
+    Raises:
+        ValueError: if there is no such target, or its description makes no sense.
+    """
+    if isinstance(said, str):
+        return SimulatedTarget(task, task.domain(said))
+    kind = check_description(said)
+    model = task.domain("source").compile()
+    low, high = model.actuator_ctrlrange.T
+    name, actions = target_name(said), dict(said.get("actions") or {})
+    period = task.period(model)
+    if kind == "task":
+        other = make_task(said["task"], said.get("options"))
+        theirs = other.period(other.domain("source").compile())
+        check_period(name, period, theirs, "target.options: {action_repeat: ...}")
+        return OtherTaskTarget(name, other, low, high, actions)
+    settings = RobotSettings(
+        name,
+        horizon=said.get("horizon", task.horizon),
+        period=period,
+        repeat=said.get("repeat", 1),
+        pixels=said.get("pixels"),
+        attended=said.get("attended", False),
+        patience=said.get("patience", 120.0),
+        success=task.metric == "success",
+    )
+    make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
+    return RobotTarget(name, make, settings, low, high, actions, bool(said.get("measure", False)))
+
+
+def check_description(said: Mapping[str, Any]) -> str:
+    """Which kind of target is described.
+
+    Raises:
+        ValueError: naming what is missing, unknown or out of range.
+    """
+    kinds = [kind for kind in TARGET_KINDS if said.get(kind) is not None]
+    if len(kinds) != 1:
+        raise ValueError(f"target is {dict(said)}; give the name of a domain, or one of {', '.join(TARGET_KINDS)}")
+    kind = kinds[0]
+    if unknown := set(said) - KEYS[kind]:
+        raise ValueError(
+            f"target.{', target.'.join(sorted(unknown))}: unknown with target.{kind}; there are: "
+            f"{', '.join(sorted(KEYS[kind]))}"
+        )
+    numbers = {key: said[key] for key in ("horizon", "repeat", "patience") if key in said}
+    ranges = {"horizon": Range(1, 1e6), "repeat": Range(1, 1000), "patience": Range(0, 1e6, "(]")}
+    for key, value in numbers.items():
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise ValueError(f"target.{key} is {value!r}; give a number")
+    check_ranges("target", numbers, {key: ranges[key] for key in numbers})
+    for key in ("options", "actions"):
+        if said.get(key) is not None and not isinstance(said[key], Mapping):
+            raise ValueError(f"target.{key} is {said[key]!r}; give keys and values")
+    return kind
+
+
+def target_name(said: str | Mapping[str, Any]) -> str:
+    """What a target is called in file names and reports."""
+    if isinstance(said, str):
+        return said
+    return str(said.get("name") or said.get("env") or said.get("task"))
+
+
+def make_robot(path: str, options: dict[str, Any], settings: RobotSettings) -> gymnasium.Env:
+    """The environment that an import path, or ``gymnasium:ID``, names.
+
+    Raises:
+        ValueError: if there is none, or its control period is another.
+    """
+    source, _, env_id = path.partition(":")
+    if source == "gymnasium":
+        try:
+            env = gymnasium.make(env_id, **({"render_mode": "rgb_array"} | options))
+        except (gymnasium.error.Error, TypeError, ImportError) as error:
+            raise ValueError(f"gymnasium.make says: {error}") from error
+    else:
+        found = import_from(path, "target.env")
+        env = call_users(found, f"target.env {path}", options) if callable(found) else found
+    period = getattr(env.unwrapped if isinstance(env, gymnasium.Env) else env, "dt", None)
+    if isinstance(period, float | np.floating):
+        check_period(settings.name, settings.period, settings.repeat * float(period), "target.repeat")
+    return env
+
+
+def check_period(name: str, source: float, target: float, cure: str) -> None:
+    """Whether a control step is as long in the target as in the source.
+
+    Raises:
+        ValueError: if it is not.
+    """
+    if abs(target - source) > SAME_PERIOD * source:
+        raise ValueError(
+            f"a control step of the target {name} is {target:g} s long, the source's {source:g} s. Make them alike, by "
+            f"task_options: {{action_repeat: ...}} or {cure}"
+        )

@@ -1,0 +1,136 @@
+"""The targets that a run can have: a simulation, or whatever can be seen and moved."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from idapt_pl.effects import WHOLE, Domain, View
+from idapt_pl.envs import ImageEnv, MappedActions, PixelsOnly, RobotEnv, VectorImageEnv
+from idapt_pl.envs.robot_env import RobotSettings
+from idapt_pl.tasks import Task
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a run looks at its worlds.
+
+    Attributes:
+        image_size: side of a frame, pixels.
+        frame_stack: K, frames in an observation.
+        view: the part of the camera's image that is rendered.
+        render_processes: further processes that render.
+    """
+
+    image_size: int
+    frame_stack: int
+    view: View = WHOLE
+    render_processes: int = 0
+
+    def simulate(self, task: Task, domain: Domain, num_envs: int) -> VectorImageEnv:
+        """Simulations of a domain, seen in this way."""
+        return VectorImageEnv(
+            task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes
+        )
+
+
+class Target(ABC):
+    """Where the policy is to go.
+
+    Attributes:
+        name: for file names and reports.
+        measured: whether returns there may be reported; nothing else reads rewards.
+        has_states: whether it shows the source's states, so that errors in them can be reported.
+        repeatable: whether a recording that was interrupted can be made again, with the same seed, as it was.
+    """
+
+    name: str
+    measured: bool = True
+    has_states: bool = False
+    repeatable: bool = True
+
+    @abstractmethod
+    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
+        """The target with its reward, ``num_envs`` times at most."""
+
+    def posable_twin(self, look: Look) -> VectorImageEnv | None:
+        """A simulation of the target that can be put into the source's states; None if there is none."""
+        return None
+
+
+@dataclass(frozen=True)
+class SimulatedTarget(Target):
+    """Another domain of the source's task.
+
+    Attributes:
+        task: the source's.
+        domain: the target domain.
+    """
+
+    task: Task
+    domain: Domain
+    has_states: bool = True
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.domain.name
+
+    def with_reward(self, num_envs: int, look: Look) -> VectorImageEnv:
+        return look.simulate(self.task, self.domain, num_envs)
+
+    def posable_twin(self, look: Look) -> VectorImageEnv:
+        return self.with_reward(1, look)
+
+
+@dataclass(frozen=True)
+class OtherTaskTarget(Target):
+    """The source of another task: somebody else's model of the same machine.
+
+    Attributes:
+        name: as of :class:`Target`.
+        task: whose model, start, reward and end they are.
+        low, high: bounds of the source's actions.
+        actions: of :class:`~idapt_pl.envs.MappedActions`.
+    """
+
+    name: str
+    task: Task
+    low: np.ndarray
+    high: np.ndarray
+    actions: dict[str, Any] = field(default_factory=dict)
+
+    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
+        env = look.simulate(self.task, self.task.domain("source"), num_envs)
+        return MappedActions(PixelsOnly(env), self.low, self.high, **self.actions)
+
+
+@dataclass(frozen=True)
+class RobotTarget(Target):
+    """Any Gymnasium environment that can be seen.
+
+    Attributes:
+        name: as of :class:`Target`.
+        make: makes the environment.
+        settings: how it is played.
+        low, high: bounds of the source's actions.
+        actions: of :class:`~idapt_pl.envs.MappedActions`.
+        measured, repeatable: as of :class:`Target`.
+    """
+
+    name: str
+    make: Callable[[], gymnasium.Env]
+    settings: RobotSettings
+    low: np.ndarray
+    high: np.ndarray
+    actions: dict[str, Any] = field(default_factory=dict)
+    measured: bool = False
+    repeatable: bool = False
+
+    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
+        env = RobotEnv(self.make, self.settings, look.image_size, look.frame_stack)
+        return MappedActions(env, self.low, self.high, **self.actions)

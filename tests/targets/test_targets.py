@@ -1,0 +1,213 @@
+"""Targets that are none of the task's domains, from what a config says of them to whole (tiny) runs."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from conftest import TINY
+
+from cli.main import main
+from datamodules import read_trajectories
+from idapt_pl.targets import Look, OtherTaskTarget, RobotTarget, make_target, target_name
+from idapt_pl.tasks import make_task
+
+LOOK = Look(image_size=16, frame_stack=2)
+
+LAB = '''
+"""A cart and its pole that nobody's physics engine knows: small Euler steps, a drawn picture."""
+
+import os
+
+import gymnasium
+import numpy as np
+
+
+class CartPole(gymnasium.Env):
+    dt = 0.04
+    render_mode = None
+    action_space = gymnasium.spaces.Box(-3, 3, (1,))
+    observation_space = gymnasium.spaces.Box(0, 255, (40, 40, 3), np.uint8)
+
+    def __init__(self, length=0.6):
+        self.length = length
+
+    def picture(self):
+        image = np.full((40, 40, 3), (90, 120, 90), np.uint8)
+        column = int(np.clip(20 + 12 * self.x, 3, 36))
+        image[30:34, column - 3 : column + 4] = 20
+        for reach in np.linspace(0, 14, 30):
+            row, col = int(30 - reach * np.cos(self.angle)), int(column + reach * np.sin(self.angle))
+            image[np.clip(row, 0, 39), np.clip(col, 0, 39)] = 240
+        return image
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x, self.v, self.w = 0.0, 0.0, 0.0
+        self.angle = float(self.np_random.uniform(-0.02, 0.02))
+        return self.picture(), {}
+
+    def step(self, action):
+        if os.path.exists("unplugged"):
+            with open("unplugged") as file:
+                left = int(file.read())
+            if left == 0:
+                raise ConnectionError("no answer from the cart")
+            with open("unplugged", "w") as file:
+                file.write(str(left - 1))
+        for _ in range(8):
+            force = 10 * float(action[0])
+            self.v += 0.005 * force / 10
+            self.w += 0.005 * (9.81 * np.sin(self.angle) - force / 10 * np.cos(self.angle)) / self.length
+            self.x, self.angle = self.x + 0.005 * self.v, self.angle + 0.005 * self.w
+        fallen = abs(self.angle) > 0.2
+        return self.picture(), float(not fallen), fallen, False, {}
+
+
+def slow():
+    env = CartPole()
+    env.dt = 0.1
+    return env
+'''
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A folder with the user's module, from which commands are given."""
+    (tmp_path / "my_lab.py").write_text(LAB)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def written(folder, **target):
+    """A config for a tiny run to a target; keys with dots are made nested."""
+    config: dict = {"target": target}
+    for key, value in TINY.items():
+        *parents, last = key.split(".")
+        inside = config
+        for parent in parents:
+            inside = inside.setdefault(parent, {})
+        inside[last] = yaml.safe_load(value) if isinstance(value, str) else value
+    config["schedule"] |= {"grounding_steps": 1, "lengths": "given"}
+    config["policy"]["encoder"] = "supervised"
+    path = folder / "own.yaml"
+    path.write_text(yaml.safe_dump(config))
+    return path
+
+
+@pytest.mark.usefixtures("lab")
+def test_a_run_to_somebody_elses_environment_that_fails_in_the_middle_and_goes_on(tmp_path, capsys):
+    config, run = written(tmp_path, env="my_lab:CartPole", name="lab cart", options={"length": 0.5}), tmp_path / "run"
+    command = ["fit", "--config", str(config), "--run_dir", str(run)]
+    (tmp_path / "unplugged").write_text("25")
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    assert "target lab cart could not take a step: no answer from the cart. 25 of 60 control steps" in said
+    assert "Traceback" not in said and json.loads((run / "ledger.json").read_text())["training_total"] == 25
+    kept = [e for f in sorted((run / "step_00/target_parts").glob("*.h5")) for e in read_trajectories(f)]
+    (tmp_path / "unplugged").unlink()
+    (run / "ledger.json").unlink()  # it comes back from the parts
+
+    assert main(command) == 0
+    recorded = list(read_trajectories(run / "step_00/target.h5"))
+    assert not (run / "step_00/target_parts").exists() and sum(map(len, recorded)) == 60
+    for before, now in zip(kept, recorded, strict=False):
+        np.testing.assert_array_equal(before.observations["pixels"], now.observations["pixels"])
+        np.testing.assert_array_equal(before.actions, now.actions)
+    for episode in recorded:
+        assert set(episode.observations) == {"pixels"} and episode.rewards is None
+        assert episode.observations["pixels"].shape[1:] == (32, 32, 3)
+
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["target"], summary["target_interactions"]) == ("lab cart", 120)
+    assert (summary["direct_transfer"], summary["visual_only"], summary["grounded"]) == (None, None, [None])
+    assert {e["purpose"] for e in json.loads((run / "ledger.json").read_text())["entries"] if e["count"]} == {
+        "training"
+    }
+    assert "the target is not measured" in (run / "report.html").read_text()
+    assert main(["ledger", "--run", str(run)]) == 0
+
+
+@pytest.mark.usefixtures("lab")
+def test_returns_are_reported_where_the_user_says_so(tmp_path, capsys):
+    run = tmp_path / "run"
+    config = written(tmp_path, env="my_lab:CartPole", measure=True, horizon=30)
+    assert main(["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert 0 < summary["direct_transfer"] <= 30 and 0 < summary["visual_only"] <= 30
+    result = json.loads((run / "step_00/evaluation.json").read_text())
+    assert result["translation"] == {} and result["target"]["state_errors"] == {}
+    purposes = {e["purpose"]: e["count"] for e in json.loads((run / "ledger.json").read_text())["entries"]}
+    assert purposes["training"] == 60 and purposes["evaluation"] == result["target"]["interactions"] + 75
+    capsys.readouterr()
+    assert main(["evaluate", "--run", str(run), "--episodes", "2", "--json"]) == 0
+    policies = json.loads(capsys.readouterr().out)["policies"]
+    assert 0 < policies["visual grounding, step 0"]["target"]["mean"] <= 30
+
+
+def test_another_tasks_simulation_is_a_target_whose_states_and_model_stay_unknown():
+    task = make_task("gymnasium:InvertedPendulum-v5")
+    said = {"task": "dm_control:cartpole/balance", "options": {"action_repeat": 4}, "actions": {"scale": 1 / 3}}
+    target = make_target(said, task)
+    assert isinstance(target, OtherTaskTarget) and target.measured and target.posable_twin(LOOK) is None
+    env = target.with_reward(2, LOOK)
+    obs, _ = env.reset(seed=0)
+    assert set(obs) == {"pixels"} and obs["pixels"].shape == (2, 2, 16, 16, 3)
+    _, reward, *_ = env.step(np.zeros((2, 1), np.float32))
+    assert (reward > 2).all(), "the suite's reward, four of its steps near the upright"
+    assert np.array_equal(env.single_action_space.high, [3.0])
+    env.close()
+
+
+def test_gymnasiums_environments_without_mujoco_are_targets():
+    pytest.importorskip("pygame")
+    task = make_task("dm_control:pendulum/swingup", {"action_repeat": 5, "expert_steps": 100})
+    said = {"env": "gymnasium:Pendulum-v1", "repeat": 2, "actions": {"scale": 2.0}, "measure": True}
+    env = make_target(said, task).with_reward(1, LOOK)
+    first = env.reset(seed=0)[0]["pixels"]
+    obs, reward, *_ = env.step(np.ones((1, 1), np.float32))
+    env.close()
+    assert not np.array_equal(obs["pixels"][0, 1], first[0, 1]) and reward[0] < 0
+
+
+SOURCE = "gymnasium:InvertedPendulum-v5"
+
+
+@pytest.mark.usefixtures("lab")
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("medium", "has no domain 'medium'; it has: source"),
+        ({}, "give the name of a domain, or one of env, task"),
+        ({"env": "my_lab:CartPole", "task": "walker2d"}, "one of env, task"),
+        ({"env": "my_lab:CartPole", "speed": 3}, r"target\.speed: unknown with target\.env; there are: actions"),
+        ({"task": "walker2d", "horizon": 3}, r"target\.horizon: unknown with target\.task"),
+        ({"env": "my_lab:CartPole", "repeat": 0}, r"target\.repeat"),
+        ({"env": "my_lab:CartPole", "patience": "long"}, "give a number"),
+        ({"env": "my_lab:CartPole", "options": 3}, "give keys and values"),
+        ({"task": "no_such_task"}, "unknown task 'no_such_task'"),
+        ({"task": "dm_control:cartpole/balance"}, r"0\.01 s long, the source's 0\.04 s.*action_repeat"),
+        ({"env": "my_lab:Nothing"}, "my_lab has no 'Nothing'"),
+        ({"env": "my_lab:slow"}, r"0\.1 s long, the source's 0\.04 s.*target\.repeat"),
+        ({"env": "my_lab:CartPole", "options": {"weight": 3}}, "(?s)Traceback.*weight"),
+        ({"env": "gymnasium:Nope-v0"}, "Nope"),
+    ],
+)
+def test_descriptions_that_make_no_sense_are_refused(said, message):
+    with pytest.raises((ValueError, RuntimeError), match=message):
+        make_target(said, make_task(SOURCE)).with_reward(1, LOOK)
+
+
+@pytest.mark.usefixtures("lab")
+def test_an_oracle_needs_states_of_the_target(tmp_path, capsys):
+    config = written(tmp_path, env="my_lab:CartPole")
+    assert main(["fit", "--config", str(config), "--run_dir", str(tmp_path / "run"), "--oracle", "true"]) == 1
+    assert "oracle: it would train on the states of my_lab:CartPole" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_targets_have_names_for_folders():
+    assert target_name("hard") == "hard" and target_name({"env": "a:b"}) == "a:b"
+    assert target_name({"env": "a:b", "name": "arm 3"}) == "arm 3"
+    assert isinstance(make_target({"env": "my_lab:CartPole"}, make_task(SOURCE)), RobotTarget)
