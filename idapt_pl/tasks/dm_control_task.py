@@ -57,8 +57,8 @@ class DMControlTask(EnvironmentTask):
     def load(self) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(self._xml, include=dict(self._assets), assets=dict(self._assets))
 
-    def preferred_camera(self, names: list[str]) -> str | None:
-        return self.camera or (names[0] if names else None)  # the suite renders its first
+    def usual_camera(self, names: list[str]) -> str | None:
+        return names[0] if names else None  # the suite renders its first
 
     def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
         task, physics = self._looking_at(model, data)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -28,7 +30,8 @@ class EnvironmentTask(Task):
         frame_skip: physics steps that an action is held for.
         limit: steps of the environment after which an episode is cut.
         action_repeat: how many of its steps a control step has; their rewards are summed.
-        camera: name of the model's camera to look through. None for the environment's own, or MuJoCo's free one.
+        camera: name of the model's camera to look through, or where to look from (``azimuth``, ``elevation``,
+            ``distance``, ``lookat``, ``fovy``). None for the environment's own, or MuJoCo's free one.
         expert_steps: control steps that a policy on true states is trained for, as a bound and for datasets.
     """
 
@@ -38,7 +41,7 @@ class EnvironmentTask(Task):
         frame_skip: int,
         limit: int,
         action_repeat: int = 1,
-        camera: str | None = None,
+        camera: str | Mapping[str, Any] | None = None,
         expert_steps: int | None = None,
     ) -> None:
         if action_repeat < 1:
@@ -59,9 +62,9 @@ class EnvironmentTask(Task):
         mujoco.mjv_defaultFreeCamera(model, view)
         return CameraPose(CAMERA, view.azimuth, view.elevation, view.distance, tuple(view.lookat.tolist()))
 
-    def preferred_camera(self, names: list[str]) -> str | None:
-        """Which of the model's cameras to look through; None for the free one."""
-        return self.camera
+    def usual_camera(self, names: list[str]) -> str | None:
+        """Which of the model's cameras the environment looks through; None for the free one."""
+        return None
 
     def base(self) -> mujoco.MjSpec:
         spec = self.load()
@@ -70,15 +73,20 @@ class EnvironmentTask(Task):
         names = [camera.name for camera in spec.cameras]
         if CAMERA in names:
             return spec
-        chosen = self.preferred_camera(names)
-        if chosen is None:
-            pose = self.free_camera(spec.compile())
-            spec.worldbody.add_camera(name=CAMERA)
-            pose.apply(spec)
-        elif chosen in names:
+        chosen = self.camera or self.usual_camera(names)
+        if isinstance(chosen, str):
+            if chosen not in names:
+                raise ValueError(f"task_options.camera is {chosen!r}; {self.name} has: {', '.join(names) or 'none'}")
             spec.cameras[names.index(chosen)].name = CAMERA
-        else:
-            raise ValueError(f"task_options.camera is {chosen!r}; the cameras of {self.name} are: {', '.join(names)}")
+            return spec
+        pose = self.free_camera(spec.compile())
+        if chosen is not None:
+            try:
+                pose = replace(pose, **chosen)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"task_options.camera: {error}") from None
+        spec.worldbody.add_camera(name=CAMERA)
+        pose.apply(spec)
         return spec
 
     def domains(self) -> dict[str, Domain]:

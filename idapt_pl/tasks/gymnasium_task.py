@@ -63,8 +63,8 @@ class GymnasiumTask(EnvironmentTask):
     def load(self) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(self._file))
 
-    def preferred_camera(self, names: list[str]) -> str | None:
-        return self.camera or (USUAL_CAMERA if USUAL_CAMERA in names else None)
+    def usual_camera(self, names: list[str]) -> str | None:
+        return USUAL_CAMERA if USUAL_CAMERA in names else None
 
     def free_camera(self, model: mujoco.MjModel) -> CameraPose:
         """Gymnasium's: at what is in the middle of all geoms, from as far as the model is wide, unless it says more."""

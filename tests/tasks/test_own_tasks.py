@@ -230,9 +230,28 @@ def test_what_cannot_be_a_task_is_one_sentence(name, options, message):
         make_task(name, options)
 
 
-def test_a_camera_that_is_not_there_is_an_error_that_lists_those_that_are():
-    with pytest.raises(ValueError, match=r"'side'; the cameras of gymnasium:HalfCheetah-v5 are: track"):
-        make_task("gymnasium:HalfCheetah-v5", {"camera": "side"})
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        ("side", "'side'; gymnasium:HalfCheetah-v5 has: track"),
+        ({"azimut": 3.0}, r"task_options\.camera: .*azimut"),
+        ({"distance": -1.0}, r"task_options\.camera: .*distance"),
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(camera, message):
+    with pytest.raises(ValueError, match=message):
+        make_task("gymnasium:HalfCheetah-v5", {"camera": camera})
+
+
+def test_the_camera_stands_where_the_user_puts_it():
+    """One metre in front of the cart it is twice as large as from two."""
+    seen = []
+    for distance in (2.0, 1.0):
+        where = {"azimuth": 90.0, "elevation": 0.0, "distance": distance, "lookat": [0.0, 0.0, 0.0]}
+        task = make_task("gymnasium:InvertedPendulum-v5", {"camera": where})
+        with closing(VectorImageEnv(task, task.domain("source"), 1, 64, 1)) as env:
+            seen.append((env.reset(seed=0)[0]["pixels"][0, 0, 32].max(-1) > 120).sum())
+    assert 1.7 < seen[1] / seen[0] < 2.4
 
 
 @pytest.fixture
