@@ -11,6 +11,7 @@ import sys
 import warnings
 
 from cli.interrupt import Interrupted, interruptible, leave_within
+from datamodules.users_error import UsersError
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -19,6 +20,7 @@ COMMANDS = {
     "gallery": "pictures of all tasks and domains, and a table of what differs",
     "ledger": "the target interactions of a run, checked against its files",
     "evaluate": "target and source returns of a finished run",
+    "export": "the policy of a run as one ONNX file for the robot, and a program that plays it",
     "report": "the story of a run, finished or not, as one HTML page",
     "diagnose": "find the physical effects that a model lacks, from recordings",
     "import": "turn recordings (CSV, NPZ, Minari, LeRobot, MCAP) into a trajectory file",
@@ -64,7 +66,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"idapt: unknown command {name!r}; commands are: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
-    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL"):
+    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL", "onnxscript", "onnx_ir"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
     for message in HARMLESS:
         warnings.filterwarnings("ignore", message)
@@ -94,9 +96,11 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
 
 
 def in_words(name: str, error: Exception) -> str:
-    """An error on one or two lines; what no user should be able to cause is called a bug."""
+    """An error on one or two lines, that of a user's module whole; what no user can cause is called a bug."""
     if isinstance(error, argparse.ArgumentError):
         return f"{plain(error)}. `idapt {name} --help` lists what there is."
+    if isinstance(error, UsersError):
+        return str(error)
     lines = [line for line in str(error).splitlines() if line.strip()]
     text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]
     if isinstance(error, MemoryError):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from idapt_pl.effects import WHOLE, Domain, Effect, View
-from idapt_pl.envs import BlindTarget, GroundedEnv, ImageEnv, VectorImageEnv, VectorStateEnv
+from idapt_pl.envs import ActionMap, BlindTarget, GroundedEnv, ImageEnv, VectorImageEnv, VectorStateEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
 from idapt_pl.targets import Look, SimulatedTarget, Target
@@ -83,6 +83,11 @@ class Worlds:
     def image_env(self, domain: Domain, num_envs: int) -> VectorImageEnv:
         """A domain as the run's images show it."""
         return self.look.simulate(self.task, domain, num_envs)
+
+    @property
+    def actions(self) -> ActionMap:
+        """What the target is told for the policy's actions."""
+        return self.target.actions
 
     @property
     def look(self) -> Look:

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from datamodules.images.fitting import Fitted
+from datamodules.users_error import UsersError
 from idapt_pl.envs.image_env import ResetResult, StepResult
 from idapt_pl.envs.patient import Patient
 
@@ -139,6 +140,8 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         """Call the robot; whatever goes wrong is said to be its."""
         try:
             return self._patient(function, *args, seconds=seconds, **kwargs)
+        except UsersError:
+            raise
         except Exception as error:
             said = str(error) or type(error).__name__
             raise TargetFailed(f"target {self.settings.name} could not {what}: {said}") from error

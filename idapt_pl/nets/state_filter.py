@@ -106,7 +106,12 @@ class StateFilter(nn.Module):
             estimates, memory.hidden = self(seen, actions * kept[..., None], before * kept)
         memory.lost += lost.int()
         memory.steps += 1
-        return estimates[:, 0].clamp(-FARTHEST, FARTHEST)
+        return self.bounded(estimates[:, 0])
+
+    @staticmethod
+    def bounded(estimates: Float[Tensor, "n s"]) -> Float[Tensor, "n s"]:
+        """Estimates within what states can be."""
+        return estimates.clamp(-FARTHEST, FARTHEST)
 
     def lost(self, readings: Float[Tensor, "n s"], estimates: Float[Tensor, "n s"]) -> Bool[Tensor, " n"]:
         """Where readings are much further from estimates than they were in training."""

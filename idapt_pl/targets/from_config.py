@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from idapt_pl.envs import ActionMap
 from idapt_pl.envs.robot_env import RobotSettings
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.targets.target import OtherTaskTarget, RobotTarget, SimulatedTarget, Target
@@ -42,14 +43,15 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
         return SimulatedTarget(task, task.domain(said))
     kind = check_description(said)
     model = task.domain("source").compile()
+    name, period = target_name(said), task.period(model)
     low, high = model.actuator_ctrlrange.T
-    name, actions = target_name(said), dict(said.get("actions") or {})
-    period = task.period(model)
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    actions = ActionMap.from_config(said.get("actions") or {}, low, high, actuators)
     if kind == "task":
         other = make_task(said["task"], said.get("options"))
         theirs = other.period(other.domain("source").compile())
         check_period(name, period, theirs, "target.options: {action_repeat: ...}")
-        return OtherTaskTarget(name, other, low, high, actions)
+        return OtherTaskTarget(name, other, actions)
     settings = RobotSettings(
         name,
         horizon=said.get("horizon", task.horizon),
@@ -61,7 +63,7 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
         success=task.metric == "success",
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
-    return RobotTarget(name, make, settings, low, high, actions, bool(said.get("measure", False)))
+    return RobotTarget(name, make, settings, actions, bool(said.get("measure", False)))
 
 
 def check_description(said: Mapping[str, Any]) -> str:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import gymnasium
-import numpy as np
 
 from idapt_pl.effects import WHOLE, Domain, View
-from idapt_pl.envs import ImageEnv, MappedActions, PixelsOnly, RobotEnv, VectorImageEnv
+from idapt_pl.envs import ActionMap, ImageEnv, MappedActions, PixelsOnly, RobotEnv, VectorImageEnv
 from idapt_pl.envs.robot_env import RobotSettings
 from idapt_pl.tasks import Task
 
@@ -46,6 +44,7 @@ class Target(ABC):
         name: for file names and reports.
         measured: whether returns there may be reported; nothing else reads rewards.
         has_states: whether it shows the source's states, so that errors in them can be reported.
+        actions: what it is told for the source's actions.
         repeatable: whether a recording that was interrupted can be made again, with the same seed, as it was.
     """
 
@@ -53,6 +52,7 @@ class Target(ABC):
     measured: bool = True
     has_states: bool = False
     repeatable: bool = True
+    actions: ActionMap
 
     @abstractmethod
     def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
@@ -77,6 +77,12 @@ class SimulatedTarget(Target):
     has_states: bool = True
 
     @property
+    def actions(self) -> ActionMap:  # type: ignore[override]
+        model = self.domain.compile()
+        low, high = model.actuator_ctrlrange.T
+        return ActionMap.from_config({}, low, high, [model.actuator(i).name for i in range(model.nu)])
+
+    @property
     def name(self) -> str:  # type: ignore[override]
         return self.domain.name
 
@@ -94,19 +100,16 @@ class OtherTaskTarget(Target):
     Attributes:
         name: as of :class:`Target`.
         task: whose model, start, reward and end they are.
-        low, high: bounds of the source's actions.
-        actions: of :class:`~idapt_pl.envs.MappedActions`.
+        actions: the source's to its own.
     """
 
     name: str
     task: Task
-    low: np.ndarray
-    high: np.ndarray
-    actions: dict[str, Any] = field(default_factory=dict)
+    actions: ActionMap
 
     def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
         env = look.simulate(self.task, self.task.domain("source"), num_envs)
-        return MappedActions(PixelsOnly(env), self.low, self.high, **self.actions)
+        return MappedActions(PixelsOnly(env), self.actions)
 
 
 @dataclass(frozen=True)
@@ -117,20 +120,17 @@ class RobotTarget(Target):
         name: as of :class:`Target`.
         make: makes the environment.
         settings: how it is played.
-        low, high: bounds of the source's actions.
-        actions: of :class:`~idapt_pl.envs.MappedActions`.
+        actions: the source's to its own.
         measured, repeatable: as of :class:`Target`.
     """
 
     name: str
     make: Callable[[], gymnasium.Env]
     settings: RobotSettings
-    low: np.ndarray
-    high: np.ndarray
-    actions: dict[str, Any] = field(default_factory=dict)
+    actions: ActionMap
     measured: bool = False
     repeatable: bool = False
 
     def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
         env = RobotEnv(self.make, self.settings, look.image_size, look.frame_stack)
-        return MappedActions(env, self.low, self.high, **self.actions)
+        return MappedActions(env, self.actions)

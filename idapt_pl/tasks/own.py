@@ -8,6 +8,7 @@ import sys
 import traceback
 from typing import Any
 
+from datamodules.users_error import UsersError
 from idapt_pl.tasks.task import Task
 
 SOURCES = "gymnasium:ID, dm_control:DOMAIN/TASK, or MODULE:NAME for a Task of your own"
@@ -22,7 +23,8 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         options: of its constructor.
 
     Raises:
-        ValueError: if it cannot be made; the errors of a user's own module are shown whole.
+        UsersError: if the user's own module fails, whose error is shown whole.
+        ValueError: if it cannot be made.
     """
     source, _, rest = name.partition(":")
     if source == "gymnasium":
@@ -53,7 +55,8 @@ def import_from(path: str, what: str) -> Any:
         what: it is to be, for messages.
 
     Raises:
-        ValueError: if there is no such thing, or the module fails, whose error is shown whole.
+        UsersError: if the module fails, whose error is shown whole.
+        ValueError: if there is no such thing.
     """
     module_name, _, attribute = path.partition(":")
     if not module_name or not attribute:
@@ -64,12 +67,12 @@ def import_from(path: str, what: str) -> Any:
         found = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is None or not (module_name + ".").startswith(error.name + "."):
-            raise ValueError(whole(f"{what} {path}: its module fails")) from None
+            raise UsersError(whole(f"{what} {path}: its module fails")) from None
         raise ValueError(
             f"{what} {path}: there is no module {error.name!r} in {os.getcwd()} or among the installed packages"
         ) from None
     except Exception:
-        raise ValueError(whole(f"{what} {path}: its module fails")) from None
+        raise UsersError(whole(f"{what} {path}: its module fails")) from None
     for part in attribute.split("."):
         if not hasattr(found, part):
             names = [name for name in vars(found) if not name.startswith("_")]
@@ -82,12 +85,12 @@ def call_users(made: Any, what: str, options: dict[str, Any]) -> Any:
     """What a user's class or function gives.
 
     Raises:
-        ValueError: if it fails; its error is shown whole.
+        UsersError: if it fails; its error is shown whole.
     """
     try:
         return made(**options)
     except Exception:
-        raise ValueError(whole(f"{what} fails")) from None
+        raise UsersError(whole(f"{what} fails")) from None
 
 
 def whole(message: str) -> str:

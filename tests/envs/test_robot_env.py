@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from idapt_pl.envs import MappedActions, RobotEnv, TargetFailed
+from idapt_pl.envs import ActionMap, MappedActions, RobotEnv, TargetFailed
 from idapt_pl.envs.patient import Patient
 from idapt_pl.envs.robot_env import RobotSettings, as_image
 
@@ -239,7 +239,7 @@ def test_grey_images_are_images(shape):
 
 def mapped(low, high, theirs=(-1.0, 1.0), nu=2, **how):
     slider = Slider(*theirs, nu=nu)
-    env = MappedActions(robot(slider), np.asarray(low, float), np.asarray(high, float), **how)
+    env = MappedActions(robot(slider), ActionMap.from_config(how, np.asarray(low, float), np.asarray(high, float)))
     env.reset(seed=0)
     return env, slider
 
@@ -249,6 +249,9 @@ def test_actions_keep_the_sources_bounds_and_arrive_in_the_targets_order_and_uni
     assert np.array_equal(env.single_action_space.high, [3, 5])
     env.step(np.array([[1.0, 2.0]], np.float32))
     np.testing.assert_allclose(slider.told[-1], [0.4, -0.2], atol=1e-6)
+    there = env._to_target(np.array([[1.0, 2.0], [-3.0, 5.0]], np.float32))
+    np.testing.assert_allclose(env._to_target.back(there), [[1.0, 2.0], [-3.0, 5.0]], atol=1e-6)
+    np.testing.assert_allclose(env._to_target.ends, [[-1.0, -0.8], [1.0, 1.0]], atol=1e-6)
 
 
 def test_like_actions_need_no_map():
@@ -262,9 +265,10 @@ def test_like_actions_need_no_map():
     [
         (([-3, -3], [3, 3]), {}, r"scale: \[0\.333333, 0\.333333\], offset: \[0\.0, 0\.0\]"),
         (([-1, -1, -1], [1, 1, 1]), {}, "the target has 2 actions and the source 3"),
-        (([-1, -1], [1, 1]), {"order": [0, 0]}, "Each of the source's must be one of the target's"),
+        (([-1, -1], [1, 1]), {"order": [0, 0]}, "each of the numbers 0 to 1 must be there once"),
         (([-1, -1], [1, 1]), {"scale": [1, 2, 3]}, r"target\.actions\.scale is \[1, 2, 3\]; give 2 numbers"),
         (([-1, -1], [1, 1]), {"scale": "big"}, "give 2 numbers"),
+        (([-1, -1], [1, 1]), {"scale": [1, 0]}, "with 0 an action would do nothing"),
         (([-1, -1], [1, 1]), {"offset": [0, float("nan")]}, "give 2 numbers"),
         (([-1, -1], [1, 1]), {"sign": -1}, "has sign; it takes order, scale and offset"),
     ],
