@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from cli.main import main
-from cli.play import Policy
 from datamodules.images.fitting import Fitted
+from idapt_pl.deployment.onnx_policy import DeployedPolicy, export_policy, played_by_file
+from idapt_pl.deployment.play import Policy
 from idapt_pl.modules import AsymmetricSAC
-from idapt_pl.modules.policy_export import DeployedPolicy, export_policy, played_by_file
 from idapt_pl.rl.policy import deterministic
 
 pytest.importorskip("onnxscript")

@@ -1,0 +1,95 @@
+"""A target that is known from recordings alone: made before the run, or by hand while it waits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datamodules import Episode, Trajectories, read_trajectories
+from datamodules.images.fitting import Fitted
+from datamodules.trajectories import TrajectoryFileError, count_steps
+from idapt_pl.envs import ActionMap
+from idapt_pl.targets.target import Look, Target
+
+SAME_RATE = 0.01
+"""Share by which the period of a recording may differ from the source's."""
+
+ENOUGH = 0.9
+"""Share of the control steps that were asked for with which a recording by hand is taken to be complete."""
+
+
+@dataclass(frozen=True)
+class RecordedTarget(Target):
+    """Recordings, one for each grounding step. It cannot be played, so nothing is measured in it.
+
+    Attributes:
+        name: as of :class:`Target`.
+        actions: as of :class:`Target`; recordings have the target's.
+        period: control period of the source, s.
+        files: trajectory files, one for each grounding step.
+        inbox: where recordings are put by hand, ``<inbox>/step_<k>/*.h5``, instead of ``files``.
+    """
+
+    name: str
+    actions: ActionMap
+    period: float
+    files: tuple[Path, ...] = ()
+    inbox: Path | None = None
+    measured: bool = False
+
+    def recording(self, k: int, look: Look) -> Trajectories:
+        """What there is for a grounding step: images and actions, as the run sees and names them.
+
+        Raises:
+            ValueError: naming the file, and what is wrong with it.
+        """
+        paths = self.brought(k) if self.inbox is not None else self.files[k : k + 1]
+        if not paths:
+            raise ValueError(f"target.recordings has {len(self.files)} files, none for grounding step {k}")
+        episodes = [e for path in paths for e in self.episodes(path, look.image_size)]
+        return Trajectories(tuple(episodes), self.period, f"{self.name}, {', '.join(map(str, paths))}")
+
+    def brought(self, k: int) -> Sequence[Path]:
+        """Files that were put there for a grounding step."""
+        return sorted(self.place(k).glob("*.h5"))
+
+    def steps_brought(self, k: int) -> int:
+        """Control steps that were put there for a grounding step.
+
+        Raises:
+            TrajectoryFileError: if a file cannot be read.
+        """
+        return sum(map(count_steps, self.brought(k)))
+
+    def place(self, k: int) -> Path:
+        """Where recordings for a grounding step are put."""
+        assert self.inbox is not None
+        return self.inbox / f"step_{k:02d}"
+
+    def episodes(self, path: Path, image_size: int) -> list[Episode]:
+        """Episodes of a file, without states and rewards, with images of the run's size and the source's actions.
+
+        Raises:
+            TrajectoryFileError: if it does not suit.
+        """
+        recorded = read_trajectories(path)
+        if abs(recorded.dt - self.period) > SAME_RATE * self.period:
+            raise TrajectoryFileError(
+                f"{path}: one step every {recorded.dt:g} s, the source's are {self.period:g} s long. Record at that rate, "
+                "or make the source's steps as long (task_options: {action_repeat: ...})"
+            )
+        fit, nu, made = Fitted(image_size, image_size, "crop"), len(self.actions.low), []
+        for i, episode in enumerate(recorded):
+            pixels = episode.observations.get("pixels")
+            if pixels is None:
+                raise TrajectoryFileError(f"{path}: episode {i} has no images (observations/pixels, uint8 (T+1, H, W, 3))")
+            if episode.actions.shape[1:] != (nu,):
+                raise TrajectoryFileError(
+                    f"{path}: episode {i} has actions of {episode.actions.shape[1]} numbers, the source of {nu}"
+                )
+            frames = np.stack([fit(frame) for frame in pixels])
+            made.append(Episode(self.actions.back(episode.actions), {"pixels": frames}))
+        return made
