@@ -11,7 +11,7 @@ import sys
 import warnings
 
 from cli.interrupt import Interrupted, interruptible, leave_within
-from datamodules.users_error import UsersError
+from datamodules.users_error import WholeError
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -56,7 +56,7 @@ def usage() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command. Returns 0 (ok), 1 (failed), 2 (bad usage), 130 (Ctrl-C) or 143 (SIGTERM)."""
+    """Run a command. Returns 0 (ok), 1 (failed), 2 (bad usage), 3 (waits for data), 130 (Ctrl-C) or 143 (SIGTERM)."""
     own_process, argv = argv is None, sys.argv[1:] if argv is None else argv
     if not argv or argv[0] in ("-h", "--help"):
         print(usage())
@@ -92,6 +92,8 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
         if debug:
             raise
         print(f"idapt {name}: {in_words(name, error)}", file=sys.stderr)
+        if isinstance(error, WholeError):
+            return error.exit_code
         return 2 if isinstance(error, argparse.ArgumentError) else 1
 
 
@@ -99,7 +101,7 @@ def in_words(name: str, error: Exception) -> str:
     """An error on one or two lines, that of a user's module whole; what no user can cause is called a bug."""
     if isinstance(error, argparse.ArgumentError):
         return f"{plain(error)}. `idapt {name} --help` lists what there is."
-    if isinstance(error, UsersError):
+    if isinstance(error, WholeError):
         return str(error)
     lines = [line for line in str(error).splitlines() if line.strip()]
     text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]

@@ -27,8 +27,9 @@ from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import Distillation
+from idapt_pl.stages.schedule import Schedule, length_of
 from idapt_pl.stages.settings import ModuleFactories
-from idapt_pl.targets import make_target, target_name
+from idapt_pl.targets import RecordedTarget, Target, make_target, target_name
 from idapt_pl.tasks import make_task
 from idapt_pl.worlds import Worlds
 
@@ -72,6 +73,7 @@ class Run:
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         if config.oracle and not worlds.target.has_states:
             raise ValueError(f"oracle: it would train on the states of {worlds.target.name}, which are not known")
+        check_recordings(worlds.target, config.schedule)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
@@ -162,6 +164,21 @@ class Run:
         """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
         G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
         return self.load_policy(made[-1]).estimator(G) if made else G.estimator
+
+
+def check_recordings(target: Target, schedule: Schedule) -> None:
+    """A target that is known from recordings alone needs one for each grounding step.
+
+    Raises:
+        ValueError: if there are fewer.
+    """
+    if isinstance(target, RecordedTarget) and target.inbox is None:
+        there, needed = len(target.files), 1 + length_of(schedule.grounding_steps)
+        if there < needed:
+            raise ValueError(
+                f"target.recordings has {there}, but schedule.grounding_steps {needed - 1} needs {needed}: one for step "
+                f"0 and one for each step after it. Give more, or schedule.grounding_steps: {there - 1}"
+            )
 
 
 def check_modules(context: StageContext) -> None:

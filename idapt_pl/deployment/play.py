@@ -22,7 +22,7 @@ def send(action: np.ndarray) -> None:
     raise SystemExit("play.py: fill in send() for your robot")
 
 
-class Policy:
+class PlayedPolicy:
     """Images in, actions out. `limit` is how much an action may change in a control step, as a share of its range."""
 
     def __init__(self, path: str, limit: float = 1.0) -> None:
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--about", action="store_true", help="print what the file says of itself, and stop")
     parser.add_argument("--dry-run", action="store_true", help="show it noise, send nothing, print what it would do")
     options = parser.parse_args()
-    policy = Policy(options.policy, options.limit)
+    policy = PlayedPolicy(options.policy, options.limit)
     period = policy.about["period"]
     if options.about:
         print(json.dumps(policy.about, indent=2))

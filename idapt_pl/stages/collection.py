@@ -15,7 +15,9 @@ from idapt_pl.rl.collect import collect
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
 from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.run_folder.kept_episodes import KeptEpisodes
+from idapt_pl.stages.by_hand import ask_for_recording
 from idapt_pl.stages.context import StageContext
+from idapt_pl.targets import RecordedTarget
 
 MakePolicy = Callable[[int], Policy]
 """Seed to policy."""
@@ -48,11 +50,14 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) 
     kept = KeptEpisodes(c.stages.folder(k), c.worlds.period, about)
 
     def make(seed: int) -> Trajectories:
+        target = c.worlds.target
+        if isinstance(target, RecordedTarget):
+            return recorded_elsewhere(c, target, k, make_policy(seed), steps)
         before = kept.read()
         c.worlds.ledger.count(k, "training", kept.steps)
         if (left := steps - kept.steps) > 0:
             with closing(c.worlds.blind_target(k)) as env:
-                keep = None if c.worlds.target.repeatable else kept.add
+                keep = None if target.repeatable else kept.add
                 played = collect(env, make_policy(seed + len(before)), left, seed + len(before), about, keep=keep)
             before.extend(played)
         return Trajectories(tuple(before), kept.dt, about)
@@ -68,6 +73,18 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) 
     c.worlds.ledger.enter(k, "training", taken)
     kept.forget()
     return path
+
+
+def recorded_elsewhere(c: StageContext, target: RecordedTarget, k: int, policy: Policy, steps: int) -> Trajectories:
+    """What was recorded of the target, before the run or by hand.
+
+    Raises:
+        TargetNeeded: if somebody has to record it yet.
+    """
+    if target.inbox is not None:
+        command = f"idapt fit --config {c.stages.run_dir / 'config.yaml'}"
+        ask_for_recording(c.worlds, target, k, policy, steps, command)
+    return target.recording(k, c.worlds.look)
 
 
 def record_source(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,16 +13,19 @@ import numpy as np
 from idapt_pl.envs import ActionMap
 from idapt_pl.envs.robot_env import RobotSettings
 from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.targets.recorded import RecordedTarget
 from idapt_pl.targets.target import OtherTaskTarget, RobotTarget, SimulatedTarget, Target
 from idapt_pl.tasks import Task, make_task
 from idapt_pl.tasks.own import call_users, import_from
 
-TARGET_KINDS = ("env", "task")
+TARGET_KINDS = ("env", "task", "recordings", "by_hand")
 """What a target that is described can be."""
 
 KEYS = {
     "env": {"env", "name", "options", "actions", "horizon", "repeat", "pixels", "attended", "patience", "measure"},
     "task": {"task", "name", "options", "actions"},
+    "recordings": {"recordings", "name", "actions"},
+    "by_hand": {"by_hand", "name", "actions"},
 }
 """Of the description of each kind."""
 
@@ -47,6 +51,10 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
     low, high = model.actuator_ctrlrange.T
     actuators = [model.actuator(i).name for i in range(model.nu)]
     actions = ActionMap.from_config(said.get("actions") or {}, low, high, actuators)
+    if kind == "recordings":
+        return RecordedTarget(name, actions, period, files=recording_paths(said["recordings"]))
+    if kind == "by_hand":
+        return RecordedTarget(name, actions, period, inbox=Path(str(said["by_hand"])))
     if kind == "task":
         other = make_task(said["task"], said.get("options"))
         theirs = other.period(other.domain("source").compile())
@@ -93,11 +101,32 @@ def check_description(said: Mapping[str, Any]) -> str:
     return kind
 
 
+def recording_paths(said: Any) -> tuple[Path, ...]:
+    """The recordings that are listed, all of which must be there.
+
+    Raises:
+        ValueError: if they are not.
+    """
+    listed = [said] if isinstance(said, str) else said
+    if not isinstance(listed, Sequence) or not listed or not all(isinstance(path, str) for path in listed):
+        raise ValueError(f"target.recordings is {said!r}; give a file or folder for each grounding step")
+    for path in map(Path, listed):
+        if not path.exists():
+            raise ValueError(f"target.recordings: {path} is not there")
+        if not path.is_dir() and path.suffix != ".h5":
+            raise ValueError(
+                f"target.recordings: {path} is neither a trajectory file (.h5) nor a folder of pictures and actions.csv"
+            )
+    return tuple(map(Path, listed))
+
+
 def target_name(said: str | Mapping[str, Any]) -> str:
     """What a target is called in file names and reports."""
     if isinstance(said, str):
         return said
-    return str(said.get("name") or said.get("env") or said.get("task"))
+    if name := said.get("name") or said.get("env") or said.get("task"):
+        return str(name)
+    return "recordings" if said.get("recordings") else "by hand"
 
 
 def make_robot(path: str, options: dict[str, Any], settings: RobotSettings) -> gymnasium.Env:

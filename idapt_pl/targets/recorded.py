@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from datamodules import Episode, Trajectories, read_trajectories
+from datamodules.episode_folder import ACTIONS, read_action_table, read_episode_folder
 from datamodules.images.fitting import Fitted
 from datamodules.trajectories import TrajectoryFileError, count_steps
 from idapt_pl.envs import ActionMap
@@ -29,8 +29,9 @@ class RecordedTarget(Target):
         name: as of :class:`Target`.
         actions: as of :class:`Target`; recordings have the target's.
         period: control period of the source, s.
-        files: trajectory files, one for each grounding step.
-        inbox: where recordings are put by hand, ``<inbox>/step_<k>/*.h5``, instead of ``files``.
+        files: trajectory files, or folders of episodes, one for each grounding step.
+        inbox: where recordings are put by hand, instead of ``files``: trajectory files and folders of episodes in
+            ``<inbox>/step_<k>``.
     """
 
     name: str
@@ -52,9 +53,9 @@ class RecordedTarget(Target):
         episodes = [e for path in paths for e in self.episodes(path, look.image_size)]
         return Trajectories(tuple(episodes), self.period, f"{self.name}, {', '.join(map(str, paths))}")
 
-    def brought(self, k: int) -> Sequence[Path]:
-        """Files that were put there for a grounding step."""
-        return sorted(self.place(k).glob("*.h5"))
+    def brought(self, k: int) -> list[Path]:
+        """Files and folders of episodes that were put there for a grounding step."""
+        return sorted(p for p in self.place(k).glob("*") if p.suffix == ".h5" or (p / ACTIONS).exists())
 
     def steps_brought(self, k: int) -> int:
         """Control steps that were put there for a grounding step.
@@ -62,7 +63,7 @@ class RecordedTarget(Target):
         Raises:
             TrajectoryFileError: if a file cannot be read.
         """
-        return sum(map(count_steps, self.brought(k)))
+        return sum(len(read_action_table(p / ACTIONS)) if p.is_dir() else count_steps(p) for p in self.brought(k))
 
     def place(self, k: int) -> Path:
         """Where recordings for a grounding step are put."""
@@ -75,17 +76,17 @@ class RecordedTarget(Target):
         Raises:
             TrajectoryFileError: if it does not suit.
         """
-        recorded = read_trajectories(path)
+        recorded = read_any(path, self.period)
         if abs(recorded.dt - self.period) > SAME_RATE * self.period:
             raise TrajectoryFileError(
-                f"{path}: one step every {recorded.dt:g} s, the source's are {self.period:g} s long. Record at that rate, "
-                "or make the source's steps as long (task_options: {action_repeat: ...})"
+                f"{path}: one step every {recorded.dt:g} s, the source's are {self.period:g} s long. Record at that "
+                "rate, or make the source's steps as long (task_options: {action_repeat: ...})"
             )
         fit, nu, made = Fitted(image_size, image_size, "crop"), len(self.actions.low), []
         for i, episode in enumerate(recorded):
             pixels = episode.observations.get("pixels")
             if pixels is None:
-                raise TrajectoryFileError(f"{path}: episode {i} has no images (observations/pixels, uint8 (T+1, H, W, 3))")
+                raise TrajectoryFileError(f"{path}: episode {i} has no images (observations/pixels, (T+1, H, W, 3))")
             if episode.actions.shape[1:] != (nu,):
                 raise TrajectoryFileError(
                     f"{path}: episode {i} has actions of {episode.actions.shape[1]} numbers, the source of {nu}"
@@ -93,3 +94,17 @@ class RecordedTarget(Target):
             frames = np.stack([fit(frame) for frame in pixels])
             made.append(Episode(self.actions.back(episode.actions), {"pixels": frames}))
         return made
+
+
+def read_any(path: Path, period: float) -> Trajectories:
+    """A trajectory file, an episode's folder, or a folder of such folders, whose control period is taken to be right.
+
+    Raises:
+        TrajectoryFileError: if it is none of them.
+    """
+    if not path.is_dir():
+        return read_trajectories(path)
+    folders = [path] if (path / ACTIONS).exists() else sorted(f.parent for f in path.glob(f"*/{ACTIONS}"))
+    if not folders:
+        raise TrajectoryFileError(f"{path}: holds no episodes; expected {ACTIONS} beside pictures, or folders of both")
+    return Trajectories(tuple(map(read_episode_folder, folders)), period, str(path))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -54,9 +54,13 @@ class Target(ABC):
     repeatable: bool = True
     actions: ActionMap
 
-    @abstractmethod
     def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
-        """The target with its reward, ``num_envs`` times at most."""
+        """The target with its reward, ``num_envs`` times at most.
+
+        Raises:
+            ValueError: of targets that cannot be played.
+        """
+        raise ValueError(f"the target {self.name} is known from recordings alone, and cannot be played")
 
     def posable_twin(self, look: Look) -> VectorImageEnv | None:
         """A simulation of the target that can be put into the source's states; None if there is none."""

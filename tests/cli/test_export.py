@@ -12,7 +12,7 @@ import torch
 from cli.main import main
 from datamodules.images.fitting import Fitted
 from idapt_pl.deployment.onnx_policy import DeployedPolicy, export_policy, played_by_file
-from idapt_pl.deployment.play import Policy
+from idapt_pl.deployment.play import PlayedPolicy
 from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.rl.policy import deterministic
 
@@ -106,10 +106,10 @@ def test_a_run_is_exported_and_played_without_this_project(finished_run, tmp_pat
 def test_play_fills_the_stack_limits_changes_and_never_sends_nan(tmp_path):
     policy, stacks = policy_with(), frames()
     export_policy(DeployedPolicy(policy, *PLAIN), tmp_path / "p.onnx", 2, 16, {"low": [-1.0, -2.0], "high": [1.0, 2.0]})
-    images, play = stacks[:, -1], Policy(tmp_path / "p.onnx")
+    images, play = stacks[:, -1], PlayedPolicy(tmp_path / "p.onnx")
     seen = np.stack([images[[0, 0]], images[[0, 1]], images[[1, 2]]])
     np.testing.assert_allclose([play(image) for image in images[:3]], acted(policy, seen)[0], atol=1e-5)
-    slow = Policy(tmp_path / "p.onnx", limit=0.01)
+    slow = PlayedPolicy(tmp_path / "p.onnx", limit=0.01)
     actions = np.array([slow(image) for image in images])
     assert np.abs(np.diff(actions, axis=0)).max(0) == pytest.approx([0.02, 0.04], rel=1e-3)
     for shape in ((48, 96, 3), (17, 16, 3), (9, 12, 3)):
@@ -120,7 +120,7 @@ def test_play_fills_the_stack_limits_changes_and_never_sends_nan(tmp_path):
     export_policy(
         DeployedPolicy(policy, *PLAIN), tmp_path / "nan.onnx", 2, 16, {"low": [-1.0, -2.0], "high": [1.0, 2.0]}
     )
-    assert np.isfinite(Policy(tmp_path / "nan.onnx")(images[0])).all()
+    assert np.isfinite(PlayedPolicy(tmp_path / "nan.onnx")(images[0])).all()
 
 
 @pytest.mark.parametrize(

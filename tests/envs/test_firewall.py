@@ -103,7 +103,7 @@ def test_evaluation_and_oracle_are_on_the_ledger_but_not_in_the_methods_total(le
 
 NAMES = {
     "target_domain", "rewarded_target", "blind_target", "BlindTarget", "unwrapped", "target_twin", "posable_twin",
-    "with_reward", "make_target", "make_robot", "SimulatedTarget", "OtherTaskTarget", "RobotTarget",
+    "with_reward", "make_target", "make_robot", "SimulatedTarget", "OtherTaskTarget", "RobotTarget", "RecordedTarget",
 }  # fmt: skip
 """Ways to the target, as identifiers, attributes or strings: what makes it, what shows it, what takes a wrapper off."""
 
@@ -132,6 +132,12 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/targets/__init__.py", "SimulatedTarget"): "exports it",
     ("idapt_pl/targets/__init__.py", "OtherTaskTarget"): "exports it",
     ("idapt_pl/targets/__init__.py", "RobotTarget"): "exports it",
+    ("idapt_pl/targets/__init__.py", "RecordedTarget"): "exports it",
+    ("idapt_pl/targets/recorded.py", "RecordedTarget"): "defines it: images and actions of files, and nothing else",
+    ("idapt_pl/targets/from_config.py", "RecordedTarget"): CONFIG,
+    ("idapt_pl/stages/collection.py", "RecordedTarget"): "records images and actions: the method's interactions",
+    ("idapt_pl/stages/by_hand.py", "RecordedTarget"): "says where recordings are put, and counts their steps",
+    ("idapt_pl/run.py", "RecordedTarget"): "counts its files",
     ("idapt_pl/targets/from_config.py", "make_target"): CONFIG,
     ("idapt_pl/targets/from_config.py", "make_robot"): CONFIG,
     ("idapt_pl/targets/from_config.py", "SimulatedTarget"): CONFIG,
@@ -211,6 +217,7 @@ def test_the_code_that_trains_is_guarded():
         "idapt_pl/envs/target_env.py",
         "idapt_pl/envs/__init__.py",
         "idapt_pl/stages/collection.py",
+        "idapt_pl/stages/by_hand.py",
         "idapt_pl/rl/collect.py",
     }
 

@@ -1,0 +1,65 @@
+"""Episodes as a folder of pictures and a table of actions: what any program can write."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.images.files import list_images, read_image
+from datamodules.trajectories import Episode, TrajectoryFileError
+
+ACTIONS = "actions.csv"
+"""The table: a row for each control step, a column for each action; a first row of names may be there."""
+
+
+def read_episode_folder(folder: Path) -> Episode:
+    """An episode: pictures in the order of their names, T+1 of them, and ``actions.csv`` with T rows.
+
+    Raises:
+        TrajectoryFileError: naming the folder or file, what was expected and what came.
+    """
+    actions = read_action_table(folder / ACTIONS)
+    try:
+        files = list_images(folder)
+        frames = [read_image(file) for file in files]
+    except ValueError as error:
+        raise TrajectoryFileError(str(error)) from None
+    if len(frames) != len(actions) + 1:
+        raise TrajectoryFileError(
+            f"{folder}: {len(frames)} pictures and {len(actions)} actions; there must be one picture more: before the "
+            "first action, and after each"
+        )
+    for file, frame in zip(files, frames, strict=True):
+        if frame.shape != frames[0].shape:
+            raise TrajectoryFileError(f"{file}: is {frame.shape}, and {files[0].name} is {frames[0].shape}")
+    return Episode(actions, {"pixels": np.stack(frames)})
+
+
+def read_action_table(path: Path) -> np.ndarray:
+    """Actions float32 (T, nu).
+
+    Raises:
+        TrajectoryFileError: naming the file and row.
+    """
+    if not path.is_file():
+        raise TrajectoryFileError(f"{path}: is missing; expected a row of numbers for each control step")
+    with open(path, newline="") as file:
+        rows = [row for row in csv.reader(file) if row]
+    if rows and not is_finite_number(rows[0][0]):
+        rows = rows[1:]
+    if not rows:
+        raise TrajectoryFileError(f"{path}: has no actions")
+    for i, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]) or not all(map(is_finite_number, row)):
+            raise TrajectoryFileError(f"{path}: action {i} is {','.join(row)}; expected {len(rows[0])} finite numbers")
+    return np.array(rows, dtype=np.float32)
+
+
+def is_finite_number(text: str) -> bool:
+    """Whether a cell is a finite number."""
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False

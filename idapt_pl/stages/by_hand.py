@@ -1,0 +1,82 @@
+"""What a person is asked for who records the target by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.atomic import write_atomically
+from datamodules.episode_folder import ACTIONS
+from datamodules.users_error import WholeError
+from idapt_pl.deployment import write_play, write_policy
+from idapt_pl.rl.policy import Acting, Policy
+from idapt_pl.targets import RecordedTarget
+from idapt_pl.targets.recorded import ENOUGH
+from idapt_pl.worlds import Worlds
+
+PLAN = "actions_to_play.csv"
+"""Actions that explore, a row for each control step."""
+
+POLICY = "policy.onnx"
+"""The policy that is to be recorded."""
+
+
+class TargetNeeded(WholeError):
+    """The run waits for recordings of the target; the message says which."""
+
+    exit_code = 3
+
+
+def ask_for_recording(worlds: Worlds, target: RecordedTarget, k: int, policy: Policy, steps: int, command: str) -> None:
+    """Say what is missing of the recordings of a grounding step, and put beside it what is to be played.
+
+    Args:
+        worlds: of the run.
+        target: where recordings are put by hand.
+        k: grounding step.
+        policy: explores, or acts on images.
+        steps: control steps that are wanted.
+        command: that goes on.
+
+    Raises:
+        TargetNeeded: if there are too few yet.
+    """
+    brought, place = target.steps_brought(k), target.place(k)
+    if brought >= ENOUGH * steps:
+        return
+    place.mkdir(parents=True, exist_ok=True)
+    if isinstance(policy, Acting):
+        write_policy(place / POLICY, policy.module, worlds, {"policy": f"step_{k:02d}"})
+        write_play(place)
+        play = f"the policy in {place / POLICY}; play.py beside it shows how, and needs onnxruntime, numpy and pillow"
+    else:
+        write_plan(place / PLAN, worlds, policy, steps)
+        play = (
+            f"the actions in {place / PLAN}, a row for each control step; where the robot must be reset, go on after it"
+        )
+    low, high = worlds.actions.ends
+    names = worlds.actions.names or [str(i) for i in range(len(low))]
+    ranges = ", ".join(f"{n} {a:g} to {b:g}" for n, a, b in zip(names, low, high, strict=True))
+    missing = f"{steps} control steps of {target.name}, {worlds.period:g} s each; there are {brought}"
+    raise TargetNeeded(
+        f"""grounding step {k} needs {missing}.
+
+  Play    {play}
+  Record  in {place}, a folder for each episode with
+            its pictures (.png or .jpg), in the order of their names: one before the first action, one after each
+            {ACTIONS}, a row for each action as it was sent ({ranges})
+          or trajectory files (.h5, docs/reference/files.md)
+  Then    {command}"""
+    )
+
+
+def write_plan(path: Path, worlds: Worlds, policy: Policy, steps: int) -> None:
+    """A table of actions that explore, in the target's units, unless there is one."""
+    if path.exists():
+        return
+    blind = np.zeros((1, worlds.frame_stack, worlds.image_size, worlds.image_size, 3), np.uint8)
+    actions = np.concatenate([worlds.actions(policy(blind)) for _ in range(steps)])
+    names = worlds.actions.names or [str(i) for i in range(actions.shape[1])]
+    rows = [",".join(names), *(",".join(f"{value:.6g}" for value in row) for row in actions)]
+    write_atomically(path, lambda temporary: temporary.write_text("\n".join(rows) + "\n"))

@@ -1,0 +1,206 @@
+"""Targets that are known from recordings alone: made before the run, or by hand while it waits."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_targets import LAB, written
+
+from cli.main import main
+from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from datamodules.episode_folder import read_episode_folder
+from idapt_pl.deployment.play import PlayedPolicy
+from idapt_pl.targets import Look, make_target
+from idapt_pl.tasks import make_task
+
+SOURCE = "gymnasium:InvertedPendulum-v5"
+LOOK = Look(image_size=16, frame_stack=2)
+
+
+def episodes(n=3, T=20, side=(24, 40), nu=1, seed=0):
+    rng = np.random.default_rng(seed)
+    return [
+        Episode(
+            rng.uniform(-1, 1, (T, nu)).astype(np.float32),
+            {"pixels": rng.integers(0, 256, (T + 1, *side, 3), np.uint8), "state": np.full((T + 1, 4), 7.0)},
+            np.full(T, 5.0), np.zeros(T, bool), np.zeros(T, bool),
+        )
+        for _ in range(n)
+    ]  # fmt: skip
+
+
+def as_folder(folder, episode, ending="png", header="force"):
+    folder.mkdir(parents=True)
+    for t, frame in enumerate(episode.observations["pixels"]):
+        Image.fromarray(frame).save(folder / f"{t:05d}.{ending}")
+    rows = [",".join(map(str, row)) for row in episode.actions]
+    (folder / "actions.csv").write_text("\n".join([header, *rows] if header else rows) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("header", ["force", ""])
+def test_a_folder_of_pictures_and_a_table_is_an_episode(tmp_path, header):
+    (episode,) = episodes(1)
+    read = read_episode_folder(as_folder(tmp_path / "a", episode, header=header))
+    np.testing.assert_array_equal(read.observations["pixels"], episode.observations["pixels"])
+    np.testing.assert_allclose(read.actions, episode.actions, atol=1e-6)
+
+
+def test_recordings_are_images_of_the_runs_size_and_the_sources_actions_and_nothing_else(tmp_path):
+    write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes()), 0.04, ""))
+    for i, episode in enumerate(episodes()):
+        as_folder(tmp_path / "b" / f"episode_{i}", episode)
+    said = {"recordings": [str(tmp_path / "a.h5"), str(tmp_path / "b")], "actions": {"scale": -0.5, "offset": 0.1}}
+    target = make_target(said, make_task(SOURCE))
+    file, folder = (target.recording(k, LOOK) for k in (0, 1))
+    for got in (file, folder):
+        assert (len(got), got.total_steps, got.dt) == (3, 60, 0.04)
+        for episode, original in zip(got, episodes(), strict=True):
+            assert set(episode.observations) == {"pixels"} and episode.rewards is None
+            assert episode.observations["pixels"].shape == (21, 16, 16, 3)
+            np.testing.assert_allclose(episode.actions, (original.actions - 0.1) / -0.5, atol=1e-5)
+    np.testing.assert_array_equal(file.episodes[2].observations["pixels"], folder.episodes[2].observations["pixels"])
+    with pytest.raises(ValueError, match="cannot be played"):
+        target.with_reward(1, LOOK)
+
+
+def broken(tmp_path, what):
+    """A recording that is wrong in one way."""
+    (episode,) = episodes(1, T=4)
+    if what == "rate":
+        write_trajectories(tmp_path / "a.h5", Trajectories((episode,), 0.05, ""))
+        return tmp_path / "a.h5"
+    if what == "no images":
+        blind = Episode(episode.actions, {"state": np.zeros((5, 2))})
+        write_trajectories(tmp_path / "a.h5", Trajectories((blind,), 0.04, ""))
+        return tmp_path / "a.h5"
+    if what == "actions":
+        write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes(1, nu=2)), 0.04, ""))
+        return tmp_path / "a.h5"
+    folder = as_folder(tmp_path / "b", episode)
+    if what == "picture missing":
+        (folder / "00002.png").unlink()
+    if what == "picture cut":
+        (folder / "00002.png").write_bytes((folder / "00002.png").read_bytes()[:100])
+    if what == "picture of another size":
+        Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(folder / "00002.png")
+    if what == "nan":
+        (folder / "actions.csv").write_text("0.1\n0.2\nnan\n0.3\n")
+    if what == "ragged":
+        (folder / "actions.csv").write_text("0.1\n0.2,3\n0\n0.3\n")
+    if what == "no table":
+        (folder / "actions.csv").unlink()
+    if what == "empty table":
+        (folder / "actions.csv").write_text("force\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("rate", r"one step every 0\.05 s, the source's are 0\.04 s.*action_repeat"),
+        ("no images", "episode 0 has no images"),
+        ("actions", "actions of 2 numbers, the source of 1"),
+        ("picture missing", "4 pictures and 4 actions; there must be one picture more"),
+        ("picture cut", r"00002\.png: cannot be read"),
+        ("picture of another size", r"00002\.png: is \(8, 8, 3\), and 00000\.png is \(24, 40, 3\)"),
+        ("nan", "action 3 is nan; expected 1 finite numbers"),
+        ("ragged", "action 2 is 0.2,3; expected 1 finite numbers"),
+        ("no table", "holds no episodes"),
+        ("empty table", "has no actions"),
+    ],
+)
+def test_recordings_that_do_not_suit_are_named(tmp_path, what, message):
+    target = make_target({"recordings": [str(broken(tmp_path, what))]}, make_task(SOURCE))
+    with pytest.raises(ValueError, match=message):
+        target.recording(0, LOOK)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ({"recordings": []}, "give the name of a domain, or one of|give a file or folder"),
+        ({"recordings": ["nowhere.h5"]}, r"nowhere\.h5 is not there"),
+        ({"recordings": [3]}, "give a file or folder for each grounding step"),
+        ({"recordings": [__file__]}, "neither a trajectory file"),
+        ({"recordings": ["a.h5"], "measure": True}, r"target\.measure: unknown with target\.recordings"),
+    ],
+)
+def test_lists_that_make_no_sense_are_refused(said, message):
+    with pytest.raises(ValueError, match=message):
+        make_target(said, make_task(SOURCE))
+
+
+def test_a_run_on_recordings_alone(tmp_path, capsys):
+    for k in range(2):
+        write_trajectories(tmp_path / f"{k}.h5", Trajectories(tuple(episodes(seed=k)), 0.04, ""))
+    config, run = written(tmp_path, recordings=[str(tmp_path / "0.h5"), str(tmp_path / "1.h5")]), tmp_path / "run"
+    command = ["fit", "--config", str(config), "--run_dir", str(run)]
+    assert main([*command, "--schedule.grounding_steps", "2"]) == 1
+    assert "target.recordings has 2, but schedule.grounding_steps 2 needs 3" in capsys.readouterr().err
+    assert main(command) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["target"], summary["target_interactions"], summary["grounded"]) == ("recordings", 120, [None])
+    assert main(["ledger", "--run", str(run)]) == 0
+
+
+def lab_cart(tmp_path):
+    module: dict = {}
+    exec(LAB, module)
+    return module["CartPole"]()
+
+
+def play_by_hand(cart, folder, act, steps):
+    """What a person with a stack of their own would record: an episode of at most so many steps. Returns its length."""
+    frames, actions, over = [cart.reset(seed=len(list(folder.parent.glob("*"))))[0]], [], False
+    while not over and len(actions) < steps:
+        actions.append(act(frames[-1]))
+        frame, _, over, *_ = cart.step(np.asarray(actions[-1]))
+        frames.append(frame)
+    T = len(actions)
+    as_folder(folder, Episode(np.array(actions, np.float32).reshape(T, -1), {"pixels": np.array(frames)}))
+    return T
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_run_by_hand_from_start_to_end(tmp_path, capsys, monkeypatch):
+    """It says what to play and record, waits for it, and goes on; the person knows nothing of this project."""
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    monkeypatch.chdir(tmp_path)
+    cart, inbox, run = lab_cart(tmp_path), tmp_path / "inbox", tmp_path / "run"
+    config = written(tmp_path, by_hand=str(inbox), name="lab cart")
+    command = ["fit", "--config", str(config), "--run_dir", str(run)]
+
+    assert main(command) == 3
+    said = capsys.readouterr().err
+    assert "grounding step 0 needs 60 control steps of lab cart, 0.04 s each; there are 0." in said
+    assert f"idapt fit --config {run / 'config.yaml'}" in said and "slide -3 to 3" in said
+    with open(inbox / "step_00/actions_to_play.csv", newline="") as file:
+        names, *rows = list(csv.reader(file))
+    assert (names, len(rows)) == (["slide"], 60)
+
+    plan = iter(np.array(rows, float))
+    taken = play_by_hand(cart, inbox / "step_00/first", lambda frame: next(plan), 20)
+    assert main(command) == 3 and f"there are {taken}." in capsys.readouterr().err
+    while taken < 60:
+        number = len(list((inbox / "step_00").glob("*")))
+        taken += play_by_hand(cart, inbox / f"step_00/more_{number}", lambda frame: next(plan), 60 - taken)
+    assert main(command) == 3
+    said = capsys.readouterr().err
+    assert "grounding step 1 needs 60 control steps" in said and "play.py" in said
+    recorded = list(read_trajectories(run / "step_00/target.h5"))
+    np.testing.assert_allclose(np.concatenate([e.actions for e in recorded]), np.array(rows, float), atol=1e-5)
+
+    policy, taken = PlayedPolicy(inbox / "step_01/policy.onnx"), 0
+    while taken < 60:
+        policy.begin()
+        number = len(list((inbox / "step_01").glob("*")))
+        taken += play_by_hand(cart, inbox / f"step_01/episode_{number}", policy, 60 - taken)
+    assert main(command) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["target"], summary["target_interactions"]) == ("lab cart", 120)
+    assert re.search("the target is not measured", (run / "report.html").read_text())
