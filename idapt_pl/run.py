@@ -176,8 +176,8 @@ def check_recordings(target: Target, schedule: Schedule) -> None:
         there, needed = len(target.files), 1 + length_of(schedule.grounding_steps)
         if there < needed:
             raise ValueError(
-                f"target.recordings has {there}, but schedule.grounding_steps {needed - 1} needs {needed}: one for step "
-                f"0 and one for each step after it. Give more, or schedule.grounding_steps: {there - 1}"
+                f"target.recordings has {there}, but schedule.grounding_steps {needed - 1} needs {needed}: one for "
+                f"step 0 and one for each step after it. Give more, or schedule.grounding_steps: {there - 1}"
             )
 
 
