@@ -28,7 +28,6 @@ URDF = """
 class BulletCartPole(gymnasium.Env):
     """Actions are forces on the cart, N; it is over when the pole leans by 0.2 rad. Rewards are for reports alone."""
 
-    metadata = {"render_modes": []}
     dt = 0.04
 
     def __init__(self, force=200.0, size=128):

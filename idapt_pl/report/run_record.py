@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +43,7 @@ ORDER = (
     "reading_errors",
     "labelled",
     "teacher",
+    "teacher_trials",
     "student",
     "rehearsal_teacher",
     "estimator_teacher",
@@ -230,4 +232,5 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
 
 def stage_place(stage: str) -> int:
     """Where a stage stands in Algorithm 1; what is not of it (the oracle) comes last."""
-    return ORDER.index(stage) if stage in ORDER else len(ORDER)
+    place = re.sub(r"_\d+$", "", stage)  # one of several candidates
+    return ORDER.index(place) if place in ORDER else len(ORDER)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,8 +19,14 @@ from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, Sta
 from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
+from idapt_pl.rl.noisy_teacher import noisy_return
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
+
+log = logging.getLogger(__name__)
+
+TRIALS = 20
+"""Episodes by which teachers are compared."""
 
 LABELLED = ("observation", "label", "label_log_std")
 """What imitation learns from."""
@@ -41,6 +49,8 @@ class TeacherSettings:
         offset: spread of errors that stay for a whole episode, likewise. What G misplaces, it misplaces in every image.
         fading: share of these over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
+        candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
+            that earns most there, on states as wrong as in training.
     """
 
     steps: int = 0
@@ -51,11 +61,16 @@ class TeacherSettings:
     offset: float = 0.0
     fading: float = 0.5
     updates_per_step: float = 1.0
+    candidates: int = 1
 
     def __post_init__(self) -> None:
         ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse"), COUNT_OR_NONE)
         errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
-        check_ranges("teacher", vars(self), ranges | errors | {"updates_per_step": Range(0, 1e6, "(]")})
+        check_ranges(
+            "teacher",
+            vars(self),
+            ranges | errors | {"updates_per_step": Range(0, 1e6, "(]"), "candidates": Range(1, 100)},
+        )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
@@ -197,9 +212,25 @@ class Distillation:
         def make(device: torch.device) -> VectorEnv:
             return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
-        self.expert = fit_expert(build_expert, make, recipe, self.stages, step, name, fresh)
+        count = self.settings.candidates if F is None and not fresh else 1
+        names = [name, *(f"{name}_{i}" for i in range(2, count + 1))]
+        trained = [fit_expert(build_expert, make, recipe, self.stages, step, n, fresh) for n in names]
+        self.expert = trained[self.best_of(step, name, trained)]
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
+
+    def best_of(self, step: int, name: str, trained: Sequence[StateSAC]) -> int:
+        """Which of several teachers earns most in the source, on states as wrong as in training."""
+        if len(trained) == 1:
+            return 0
+
+        def make(seed: int) -> dict:
+            with closing(self.worlds.source_states(TRIALS)) as env:
+                returns = [round(noisy_return(teacher, env, TRIALS, seed), 2) for teacher in trained]
+            log.info("step %d  teachers earn %s in the source; the best goes on", step, returns)
+            return {"returns": returns, "chosen": int(np.argmax(returns))}
+
+        return int(self.stages.measure(step, f"{name}_trials", make)["chosen"])
 
     def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
         """The teacher as it is before any grounding; it trains now, if it has not yet."""

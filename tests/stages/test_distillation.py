@@ -1,6 +1,8 @@
 """The privileged teacher: labels, learning from them, going on from them, and what a run with it leaves."""
 
 import json
+from contextlib import closing
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,10 +12,12 @@ from conftest import TINY
 
 from cli.main import main
 from datamodules import ReplayBuffer, ReplayDataModule
-from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv, VectorStateEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.report.run_record import ORDER
+from idapt_pl.rl.noisy_teacher import MisledTeacher, noisy_return
 from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.stages.distillation import (
     LABELLED,
@@ -232,3 +236,32 @@ def test_a_taught_run_that_lost_its_last_step_repeats_it_bitwise(taught_run):
     for name, kept in before.items():
         again = checkpoint(run, f"step_01/{name}")
         assert all(torch.equal(v, again[k]) for k, v in kept.items()), name
+
+
+def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_repaired_source(teaching, tmp_path):
+    teaching.settings = replace(teaching.settings, candidates=3, noise=0.1)
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    assert not list(tmp_path.rglob("source_teacher_2")), "what has not been repaired has one teacher"
+    teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    student(0, "")
+    trials = json.loads((tmp_path / "step_00/teacher_trials.json").read_text())
+    assert len(trials["returns"]) == 3 and trials["chosen"] == int(np.argmax(trials["returns"]))
+    names = ("teacher", "teacher_2", "teacher_3")
+    kept = [torch.load(tmp_path / f"step_00/{n}/final.ckpt", weights_only=True)["state_dict"] for n in names]
+    weights = teaching.expert.state_dict()
+    same = [all(torch.equal(weights[k], v) for k, v in each.items()) for each in kept]
+    assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
+
+
+def test_a_misled_teacher_sees_other_states_in_every_episode(cart):
+    teacher = StateSAC(2, [-100.0], [100.0], hidden=[8], noise=0.0, offset=0.5)
+    act, states = MisledTeacher(teacher, 3, 0), np.ones((3, 2), np.float32)
+    first = act(states)
+    np.testing.assert_array_equal(first, act(states))  # an offset stays
+    act.tick(np.array([False, True, False]))
+    again = act(states)
+    assert np.array_equal(first == again, [[True], [False], [True]])
+    assert not np.allclose(first, teacher.act(states, deterministic=True))
+    with closing(VectorStateEnv(cart, cart.domain("source"), 4)) as env:
+        assert noisy_return(teacher, env, 8, 1) == noisy_return(teacher, env, 8, 1)
