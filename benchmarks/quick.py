@@ -85,7 +85,7 @@ def rows(folder: Path, method: str) -> list[dict]:
         if (folder / f"step_{k:02d}/evaluation.json").exists():  # else step k was settled: the policy before it stays
             measured = read(f"step_{k:02d}/evaluation")
         name = method if k else "visual only"
-        found.append((name, k, measured["target"], measured["translation"]["psnr"]))
+        found.append((name, k, measured["target"], measured["translation"].get("psnr", "")))
     if summary["oracle"] is not None:
         found.append(("oracle", "", read("step_00/oracle_evaluation"), ""))
     return [
