@@ -2,8 +2,8 @@
 
     python benchmarks/own_targets.py --example cartpole_dm_control cartpole_pybullet --seeds 0 1 2
 
-Runs ``idapt fit`` in ``examples/`` for every seed (finished runs are not repeated) and writes results/own_targets.csv, as
-``benchmarks/quick.py`` does. ``cartpole_pybullet`` needs ``pip install pybullet``.
+Runs ``idapt fit`` in ``examples/`` for every seed (finished runs are not repeated) and writes results/own_targets.csv,
+as ``benchmarks/quick.py`` does. ``cartpole_pybullet`` needs ``pip install pybullet``.
 """
 
 from __future__ import annotations

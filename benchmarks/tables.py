@@ -41,9 +41,6 @@ SHOWN = (
     ("walker2d", "walker_hard", {"run": "IDAPT"}),
     ("fetch_reach", "fetch_hard", {"run": "IDAPT"}),
     ("sawyer_push", "sawyer_hard", {"run": "IDAPT"}),
-    ("half_cheetah", "cheetah_quick", {"run": "on estimates"}),
-    ("fetch_reach", "fetch_quick", {"run": "IDAPT"}),
-    ("sawyer_push", "sawyer_quick", {"run": "IDAPT"}),
 )
 """Rows of README's table: task, table, and which of its rows. The rest is in the table of every run."""
 

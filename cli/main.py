@@ -16,6 +16,7 @@ from datamodules.users_error import WholeError
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
     "visual": "train and use the visual transformation alone, on any two sets of images",
+    "check": "what source and target show, and whether they move alike, before a run",
     "collect": "write a trajectory file from a task, domain and policy",
     "gallery": "pictures of all tasks and domains, and a table of what differs",
     "ledger": "the target interactions of a run, checked against its files",

@@ -188,7 +188,7 @@ def test_a_run_by_hand_from_start_to_end(tmp_path, capsys, monkeypatch):
     assert main(command) == 3 and f"there are {taken}." in capsys.readouterr().err
     while taken < 60:
         number = len(list((inbox / "step_00").glob("*")))
-        taken += play_by_hand(cart, inbox / f"step_00/more_{number}", lambda frame: next(plan), 60 - taken)
+        taken += play_by_hand(cart, inbox / f"step_00/more_{number:03d}", lambda frame: next(plan), 60 - taken)
     assert main(command) == 3
     said = capsys.readouterr().err
     assert "grounding step 1 needs 60 control steps" in said and "play.py" in said
@@ -199,7 +199,7 @@ def test_a_run_by_hand_from_start_to_end(tmp_path, capsys, monkeypatch):
     while taken < 60:
         policy.begin()
         number = len(list((inbox / "step_01").glob("*")))
-        taken += play_by_hand(cart, inbox / f"step_01/episode_{number}", policy, 60 - taken)
+        taken += play_by_hand(cart, inbox / f"step_01/episode_{number:03d}", policy, 60 - taken)
     assert main(command) == 0
     summary = json.loads((run / "summary.json").read_text())
     assert (summary["target"], summary["target_interactions"]) == ("lab cart", 120)

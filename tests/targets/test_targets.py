@@ -56,7 +56,7 @@ class CartPole(gymnasium.Env):
             with open("unplugged", "w") as file:
                 file.write(str(left - 1))
         for _ in range(8):
-            force = 10 * float(action[0])
+            force = 150 * float(action[0])
             self.v += 0.005 * force / 10
             self.w += 0.005 * (9.81 * np.sin(self.angle) - force / 10 * np.cos(self.angle)) / self.length
             self.x, self.angle = self.x + 0.005 * self.v, self.angle + 0.005 * self.w

@@ -1,0 +1,98 @@
+"""``idapt check``: what source and target of a config show, and whether they move alike, before hours of training."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+
+from cli.arguments import parser
+from cli.fit import GroundingCLI
+from idapt_pl.files import write_atomically
+from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.run import Run
+from idapt_pl.targets.trial_moves import TrialMoves, suspicions, try_moves
+
+LARGE = 4
+"""How many times as large as in the run pictures are."""
+
+
+def main(args: list[str]) -> int:
+    """Run ``idapt check``. Returns 1 if something looks wrong."""
+    p = parser("check", __doc__)
+    p.add_argument("--config", type=Path, action="append", required=True, help="as of `idapt fit`; may be repeated")
+    p.add_argument("--out", type=Path, default=Path("check.png"), help="picture to write")
+    p.add_argument("--share", type=float, default=0.3, help="how far actuators are pushed, of their ranges")
+    p.add_argument(
+        "--move-target",
+        action="store_true",
+        help="push the target's actuators too: a robot moves. Else only its first image is looked at",
+    )
+    o = p.parse_args(args)
+    check_ranges("", {"--share": o.share}, {"--share": Range(0, 1, "(]")})
+    run = GroundingCLI([f"--config={path}" for path in o.config]).run()
+    worlds = run.worlds
+    with closing(worlds.source(1)) as env:
+        source = try_moves(env, o.share)
+    target, shown = look_at_target(run, o.share if o.move_target else None)
+    print(actions_table(run))
+    picture = sheet(source, target, shown)
+    write_atomically(o.out, lambda temporary: temporary.write_bytes(iio.imwrite("<bytes>", picture, extension=".png")))
+    names = worlds.actions.names or tuple(map(str, range(len(source.motion))))
+    source_names = tuple(names[int(np.flatnonzero(worlds.actions.order == i)[0])] for i in range(len(names)))
+    found = suspicions(source, target, source_names)
+    if target is not None:
+        print(f"\nthe target took {target.steps} control steps for this; they are in no run's ledger")
+    for sentence in found:
+        print(f"- {sentence}")
+    print(f"\n{'look at' if not found else 'something looks wrong; look at'} {o.out}: {sheet_legend(target)}")
+    return int(bool(found))
+
+
+def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray]:
+    """What the target shows when its actuators are pushed, if they may be, and its first image."""
+    env = run.worlds.blind_target(-1)
+    with closing(env):
+        if share is not None:
+            moves = try_moves(env, share)
+            return moves, moves.start
+        return None, env.reset(seed=0)[0]["pixels"][0, -1]
+
+
+def actions_table(run: Run) -> str:
+    """The actions of source and target, in words."""
+    actions, period = run.worlds.actions, run.worlds.period
+    low, high = actions.ends
+    lines = [
+        f"control period {period:g} s; images {run.config.image_size} pixels, {run.config.frame_stack} at a time",
+        "",
+    ]
+    lines.append(f"{'action':<20}{'source':>24}{'target':>24}")
+    for i, j in enumerate(actions.order):
+        name = actions.names[i] if actions.names else str(j)
+        ends = [f"{a:.4g} to {b:.4g}" for a, b in ((actions.low[j], actions.high[j]), (low[i], high[i]))]
+        lines.append(f"{name:<20}{ends[0]:>24}{ends[1]:>24}")
+    return "\n".join(lines)
+
+
+def sheet(source: TrialMoves, target: TrialMoves | None, shown: np.ndarray) -> np.ndarray:
+    """Source above, target below: the start, and each actuator pushed one way and the other."""
+    rows = [
+        np.concatenate([source.start, *(f for pair in zip(source.plus, source.minus, strict=True) for f in pair)], 1)
+    ]
+    if target is None:
+        below = np.full_like(rows[0], 255)
+        below[:, : shown.shape[1]] = shown
+        rows.append(below)
+    else:
+        pairs = zip(target.plus, target.minus, strict=True)
+        rows.append(np.concatenate([target.start, *(f for pair in pairs for f in pair)], 1))
+    return np.concatenate(rows).repeat(LARGE, 0).repeat(LARGE, 1)
+
+
+def sheet_legend(target: TrialMoves | None) -> str:
+    """What the picture shows."""
+    moved = "the same in the target" if target is not None else "the target's first image (--move-target pushes it too)"
+    return f"above the source, from left to right its start and each action pushed up and down; below {moved}"

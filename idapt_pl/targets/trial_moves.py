@@ -1,0 +1,164 @@
+"""Which way things move in the image when an actuator is pushed: to compare a source with a target before a run."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from idapt_pl.envs import ImageEnv
+
+SEEN, MOVING = 6.0, 0.15
+"""Grey levels by which a pixel must change to be seen; share of the largest change, once blurred, for a moving one."""
+
+CELLS = 4
+"""Rows and columns of the parts of an image in which motions are compared."""
+
+SHARP = 16
+"""Images are blurred by their side over this, standard deviation."""
+
+PUSHED_STEPS = 6
+"""Control steps for which an actuator is pushed."""
+
+ALIKE, UNLIKE = 0.6, -0.6
+"""Cosines between two directions that are taken to be the same, and opposite."""
+
+FASTER = 4.0
+"""Factor by which things may move faster or slower than in the source before it is said."""
+
+
+@dataclass(frozen=True)
+class TrialMoves:
+    """What a world shows when its actuators are pushed, one by one.
+
+    Attributes:
+        start: the first frame, uint8 (S, S, 3).
+        plus: the last frame after a push one way, for each actuator, uint8 (nu, S, S, 3).
+        minus: the other way.
+        motion: how far things moved with one push less the other, in each cell of the image, right and down, pixels
+            (nu, CELLS, CELLS, 2).
+        steps: control steps that it took.
+    """
+
+    start: np.ndarray
+    plus: np.ndarray
+    minus: np.ndarray
+    motion: np.ndarray
+    steps: int
+
+
+def try_moves(env: ImageEnv, share: float, seed: int = 0, steps: int = PUSHED_STEPS) -> TrialMoves:
+    """Push every actuator both ways, each time from a new start.
+
+    Args:
+        env: one simulation, or one robot.
+        share: of the actuators' ranges, about their middles.
+        seed: of the starts.
+        steps: control steps of a push, fewer where an episode ends.
+    """
+    space = env.single_action_space
+    assert isinstance(space, gymnasium.spaces.Box)
+    middle, half = (space.high + space.low) / 2, (space.high - space.low) / 2
+    ends, motions, taken, start = [], [], 0, np.zeros(0)
+    for i in range(len(middle)):
+        for sign in (1.0, -1.0):
+            action = middle.copy()
+            action[i] += sign * share * half[i]
+            frames = [env.reset(seed=seed)[0]["pixels"][0, -1]]
+            start = frames[0]
+            for _ in range(steps):
+                obs, _, terminations, truncations, infos = env.step(action[None].astype(np.float32))
+                taken += 1
+                frames.append(infos.get("final_obs", obs)["pixels"][0, -1])
+                if terminations[0] or truncations[0]:
+                    break
+            ends.append(frames[-1])
+            motions.append(apparent_motion(frames))
+    plus, minus = np.array(ends[::2]), np.array(ends[1::2])
+    return TrialMoves(start, plus, minus, np.array(motions[::2]) - np.array(motions[1::2]), taken)
+
+
+def apparent_motion(frames: Sequence[np.ndarray]) -> np.ndarray:
+    """How far what moves has moved in each cell of a sequence of images, right and down, pixels (CELLS, CELLS, 2).
+
+    From frame to frame, by least squares over the pixels that change (Lucas and Kanade 1981).
+    """
+    total = np.zeros((CELLS, CELLS, 2))
+    blur = frames[0].shape[0] / SHARP  # thin parts may move by more than they are wide
+    grey = [gaussian_filter(frame.astype(float).mean(-1), blur) for frame in frames]
+    for before, after in itertools.pairwise(grey):
+        change = after - before
+        least = max(MOVING * np.abs(change).max(), 1.0)
+        down, right = np.gradient((before + after) / 2)
+        parts = zip(*(in_cells(part) for part in (right, down, change)), strict=True)
+        for cell, (r, d, c) in zip(np.ndindex(CELLS, CELLS), parts, strict=True):
+            moving = np.abs(c) > least
+            if moving.sum() >= 3:
+                slopes = np.vstack([np.column_stack([r[moving], d[moving]]), np.eye(2)])
+                total[cell] += np.linalg.lstsq(slopes, np.append(-c[moving], [0, 0]), rcond=None)[0]
+    return total
+
+
+def in_cells(image: np.ndarray) -> list[np.ndarray]:
+    """The cells of an image (H, W), row by row."""
+    return [cell for row in np.array_split(image, CELLS) for cell in np.array_split(row, CELLS, axis=1)]
+
+
+def suspicions(source: TrialMoves, target: TrialMoves | None, names: Sequence[str]) -> list[str]:
+    """What looks wrong, a sentence each."""
+    found = [
+        f"{names[i]} moves nothing that the source's camera sees" for i in range(len(names)) if not visible(source, i)
+    ]
+    for what, world in (("source", source), ("target", target)):
+        if world is not None and world.start.std() < SEEN:
+            found.append(f"the {what}'s image is nearly of one colour: is the camera where it should be?")
+    if target is None:
+        return found
+    both = [i for i in range(len(names)) if visible(source, i)]
+    found += [f"{names[i]} moves nothing that the target's camera sees" for i in both if not visible(target, i)]
+    both = [i for i in both if visible(target, i)]
+    return found + crossed(source.motion, target.motion, both, names)
+
+
+def visible(world: TrialMoves, i: int) -> bool:
+    """Whether a push of actuator i can be seen."""
+    return bool(np.abs(world.plus[i].astype(float) - world.minus[i]).max() > SEEN and np.any(world.motion[i]))
+
+
+def crossed(a: np.ndarray, b: np.ndarray, both: Sequence[int], names: Sequence[str]) -> list[str]:
+    """Turned cameras, reversed signs, exchanged actuators, other speeds; from motions of source and target."""
+    turned = {
+        "upside down": -b[:, ::-1, ::-1],
+        "mirrored left to right": b[:, :, ::-1] * (-1.0, 1.0),
+        "mirrored top to bottom": b[:, ::-1] * (1.0, -1.0),
+    }
+    alike = lambda i, j: cosine(a[i], b[j])  # noqa: E731
+    reversed_ = [i for i in both if alike(i, i) < UNLIKE]
+    explaining = [how for how, there in turned.items() if all(cosine(a[i], there[i]) > ALIKE for i in both)]
+    if len(both) > 1 and explaining and any(alike(i, i) < ALIKE for i in both):
+        return [f"everything moves as if the target's image were {' or '.join(explaining)}"]
+    found = []
+    swapped = [
+        (i, j) for i in both for j in both
+        if i < j and alike(i, j) > ALIKE and alike(j, i) > ALIKE and max(alike(i, i), alike(j, j)) < ALIKE
+    ]  # fmt: skip
+    found += [f"{names[i]} and {names[j]} seem to be exchanged: see target.actions.order" for i, j in swapped]
+    exchanged = {i for pair in swapped for i in pair}
+    for i in (i for i in both if i not in exchanged):
+        ratio = float(np.linalg.norm(b[i]) / np.linalg.norm(a[i]))
+        if not 1 / FASTER < ratio < FASTER:
+            found.append(f"{names[i]} moves things {ratio:.2g} times as far as in the source: are units the same?")
+        elif i in reversed_:
+            found.append(f"{names[i]} moves the other way: see the sign of target.actions.scale, and the camera")
+        elif alike(i, i) < ALIKE:
+            found.append(f"{names[i]} moves things in another direction than in the source: are the cameras alike?")
+    return found
+
+
+def cosine(a: np.ndarray, b: np.ndarray) -> float:
+    """Of the angle between two fields of vectors."""
+    return float((a * b).sum() / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9))

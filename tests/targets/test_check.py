@@ -1,0 +1,100 @@
+"""What `idapt check` finds before a run: axes, signs, units and cameras."""
+
+import numpy as np
+import pytest
+import yaml
+from test_targets import LAB, written
+
+from cli.main import main
+from idapt_pl.targets.trial_moves import CELLS, TrialMoves, apparent_motion, crossed, suspicions
+
+
+def blob(x, y, side=32, colour=(200, 80, 40), back=(20, 60, 20)):
+    """A soft spot at (x, y)."""
+    rows, columns = np.mgrid[:side, :side]
+    weight = np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 12)[..., None]
+    return (np.array(back) * (1 - weight) + np.array(colour) * weight).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("right", "down"), [(1.0, 0.0), (-0.7, 0.0), (0.0, 0.8), (0.5, -0.5)])
+def test_the_motion_of_what_moves_is_found_whatever_it_looks_like(right, down):
+    for look in ({}, {"colour": (10, 10, 10), "back": (240, 240, 250)}):
+        frames = [blob(14 + t * right, 16 + t * down, **look) for t in range(6)]
+        field = apparent_motion(frames)
+        most = field.reshape(-1, 2)[np.linalg.norm(field, axis=-1).argmax()]
+        np.testing.assert_allclose(most, [5 * right, 5 * down], atol=1.5)
+
+
+def test_nothing_moves_in_still_images():
+    noise = np.random.default_rng(0).integers(-2, 3, (6, 32, 32, 3))
+    assert not apparent_motion([blob(14, 16) + n for n in noise]).any()
+
+
+def field(*moving):
+    """Motions in cells: (row, column, right, down)."""
+    made = np.zeros((CELLS, CELLS, 2))
+    for row, column, right, down in moving:
+        made[row, column] = right, down
+    return made
+
+
+SHOULDER, ELBOW = field((2, 1, 4.0, 0.0), (1, 1, 2.0, 0.0)), field((1, 2, 0.5, 3.0))
+SOURCE = np.array([SHOULDER, ELBOW])
+NAMES = ("shoulder", "elbow")
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        ([SHOULDER + 0.1, 0.7 * ELBOW], []),
+        ([-SHOULDER, ELBOW], ["shoulder moves the other way"]),
+        ([-SHOULDER, -ELBOW], ["shoulder moves the other way", "elbow moves the other way"]),
+        ([ELBOW, SHOULDER], ["shoulder and elbow seem to be exchanged"]),
+        ([10 * SHOULDER, ELBOW], ["shoulder moves things 10 times as far"]),
+        ([SHOULDER, field((1, 2, 3.0, 0.0))], ["elbow moves things in another direction"]),
+        ([-SHOULDER[::-1, ::-1], -ELBOW[::-1, ::-1]], ["the target's image were upside down"]),
+        ([SHOULDER[:, ::-1] * (-1, 1), ELBOW[:, ::-1] * (-1, 1)], ["mirrored left to right"]),
+        ([SHOULDER[::-1] * (1, -1), ELBOW[::-1] * (1, -1)], ["mirrored top to bottom"]),
+    ],
+)
+def test_what_is_crossed_is_said_and_nothing_else(target, said):
+    found = crossed(SOURCE, np.array(target), (0, 1), NAMES)
+    assert len(found) == len(said) and all(part in sentence for part, sentence in zip(said, found, strict=True))
+
+
+def moves(motion, seen=(True, True), start=None):
+    shown = np.array([blob(8, 16) if s else blob(16, 16) for s in seen])
+    other = np.array([blob(24, 16) if s else blob(16, 16) for s in seen])
+    return TrialMoves(blob(16, 16) if start is None else start, shown, other, np.array(motion, float), 24)
+
+
+def test_what_cannot_be_seen_is_said():
+    still, flat = moves([SHOULDER, 0 * ELBOW], (True, False)), np.full((32, 32, 3), 7, np.uint8)
+    assert suspicions(moves(SOURCE), moves(SOURCE), NAMES) == [] == suspicions(moves(SOURCE), None, NAMES)
+    assert suspicions(still, None, NAMES) == ["elbow moves nothing that the source's camera sees"]
+    assert suspicions(moves(SOURCE), still, NAMES) == ["elbow moves nothing that the target's camera sees"]
+    assert "nearly of one colour" in suspicions(moves(SOURCE), moves(SOURCE, start=flat), NAMES)[0]
+
+
+def test_a_config_whose_target_moves_the_other_way(tmp_path, monkeypatch, capsys):
+    (tmp_path / "my_lab.py").write_text(LAB)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def config(scale):
+        path = written(tmp_path, env="my_lab:CartPole", actions={"scale": scale})
+        said = yaml.safe_load(path.read_text()) | {"task": "gymnasium:InvertedPendulum-v5"}
+        said["task_options"] = {"camera": {"azimuth": 90, "elevation": 0, "distance": 2.1, "lookat": [0, 0, 0.43]}}
+        path.write_text(yaml.safe_dump(said))
+        return path
+
+    command = ["check", "--config", str(config(1)), "--out", str(tmp_path / "seen.png"), "--move-target"]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "slide" in said and "-3 to 3" in said and "control steps for this" in said
+    assert (tmp_path / "seen.png").stat().st_size > 500 and not (tmp_path / "runs").exists()
+
+    config(-1)
+    assert main(command) == 1
+    assert "slide moves the other way: see the sign of target.actions.scale" in capsys.readouterr().out
+    assert main(command[:-1]) == 0, "a target that may not be moved is looked at, no more"
