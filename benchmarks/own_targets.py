@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 def main() -> None:
     """Run the benchmark."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--example", nargs="+", default=["cartpole_dm_control", "cartpole_pybullet"])
+    p.add_argument("--example", nargs="+", default=["cartpole_dm_control", "cartpole_pybullet", "pendulum_gymnasium"])
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     p.add_argument("--out", type=Path, default=ROOT / "results/own_targets.csv")
     o, extra = p.parse_known_args()
