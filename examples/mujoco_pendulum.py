@@ -10,8 +10,8 @@ from idapt_pl.tasks import Task
 MJCF = """
 <mujoco><option timestep="0.01"/><visual><headlight ambient="0.5 0.5 0.5" diffuse="0.5 0.5 0.5"/></visual>
   <asset><texture type="skybox" builtin="flat" rgb1="0.35 0.4 0.5" width="8" height="8"/></asset>
-  <worldbody><body name="rod"><joint name="hinge" axis="0 -1 0"/>
-    <geom name="rod" type="capsule" fromto="0 0 0 0 0 1" size="0.08" mass="0.7" rgba="0.2 0.7 0.3 1"/></body></worldbody>
+  <worldbody><body name="rod"><joint name="hinge" axis="0 -1 0"/><geom name="rod" type="capsule"
+    fromto="0 0 0 0 0 1" size="0.08" mass="0.7" rgba="0.2 0.7 0.3 1"/></body></worldbody>
   <actuator><motor name="motor" joint="hinge" ctrlrange="-2 2"/></actuator>
 </mujoco>"""
 

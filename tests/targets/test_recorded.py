@@ -135,15 +135,14 @@ def test_lists_that_make_no_sense_are_refused(said, message):
 
 
 def test_a_run_on_recordings_alone(tmp_path, capsys):
-    for k in range(2):
-        write_trajectories(tmp_path / f"{k}.h5", Trajectories(tuple(episodes(seed=k)), 0.04, ""))
-    config, run = written(tmp_path, recordings=[str(tmp_path / "0.h5"), str(tmp_path / "1.h5")]), tmp_path / "run"
+    write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes()), 0.04, ""))
+    config, run = written(tmp_path, recordings=[str(tmp_path / "a.h5")]), tmp_path / "run"
     command = ["fit", "--config", str(config), "--run_dir", str(run)]
-    assert main([*command, "--schedule.grounding_steps", "2"]) == 1
-    assert "target.recordings has 2, but schedule.grounding_steps 2 needs 3" in capsys.readouterr().err
-    assert main(command) == 0
+    assert main(command) == 1
+    assert "target.recordings has 1, but schedule.grounding_steps 1 needs 2" in capsys.readouterr().err
+    assert main([*command, "--schedule.grounding_steps", "0"]) == 0
     summary = json.loads((run / "summary.json").read_text())
-    assert (summary["target"], summary["target_interactions"], summary["grounded"]) == ("recordings", 120, [None])
+    assert (summary["target"], summary["target_interactions"], summary["visual_only"]) == ("recordings", 60, None)
     assert main(["ledger", "--run", str(run)]) == 0
 
 
