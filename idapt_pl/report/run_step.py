@@ -53,7 +53,9 @@ def step_images(step: StepRecord, run: Run) -> str:
     clip = step.folder / "policy_in_grounded_and_target.gif"
     if clip.exists():
         shown = image(data_uri(clip.read_bytes(), "gif"), "the policy")
-        made.append(figure(shown, "The policy: grounded source (left), target (right; evaluation only).", "clip"))
+        both = "grounded source (left), target (right; evaluation only)"
+        where = both if step.evaluation.get("target") else "grounded source"
+        made.append(figure(shown, f"The policy: {where}.", "clip"))
     return picture_row(*made)
 
 
@@ -145,5 +147,5 @@ def step_numbers(step: StepRecord, metric: str) -> str:
     if there := step.evaluation["target"]:
         every = there["successes"] or there["returns"]
         rows.append(row(f"{metric} in the target, worst and best episode", f"#{min(every):g} to {max(every):g}", ""))
-    note = paragraph("For evaluation only, with source and target put into the same states.", "small")
+    note = paragraph("For evaluation only, with source and target put into the same states.", "small") if t else ""
     return details("Errors and returns", table(("what", "#value", "unit"), rows), note)
