@@ -8,6 +8,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from conftest import ROOT
 from dm_control import suite
 
 from idapt_pl.effects.bodies import BodyMass
@@ -26,40 +27,17 @@ URDF = """
     <limit lower="-3" upper="3" effort="5" velocity="10"/></joint>
 </robot>"""
 
-MODULE = '''
-"""An arm of the user's own: a URDF, a motor, a camera and a reward."""
+PAGE = (ROOT / "docs/guide/own_robot.md").read_text()
+GUIDE = next(part.split("```")[0] for part in PAGE.split("```python\n") if part.startswith("# my_robot.py"))
+"""The user's own robot, as the guide has it: a URDF, a motor, a camera and a reward."""
 
-from pathlib import Path
+MODULE = (
+    GUIDE
+    + """
 
-import mujoco
-import numpy as np
-
-from idapt_pl.effects import Domain
-from idapt_pl.tasks import Task, robot_spec
-
-
-class Arm(Task):
-    frame_skip, horizon = 10, 20
-
+class Arm(Reach):
     def __init__(self, goal=1.0):
         self.goal = goal
-
-    def base(self):
-        spec = robot_spec(Path(__file__).with_name("arm.urdf"))
-        spec.worldbody.add_light(pos=[0, -3, 3])
-        camera = spec.worldbody.add_camera(name="view", pos=[0, -4, 0])
-        camera.alt.type, camera.alt.xyaxes = mujoco.mjtOrientation.mjORIENTATION_XYAXES, [1, 0, 0, 0, 0, 1]
-        spec.add_actuator(name="motor", target="hinge", trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-5, 5])
-        return spec
-
-    def domains(self):
-        return {"source": Domain("source", self.base)}
-
-    def reset(self, model, data, rng):
-        data.qpos[:] = rng.uniform(-0.1, 0.1)
-
-    def state(self, model, data):
-        return np.concatenate([data.qpos, data.qvel])
 
     def outcome(self, model, data, action):
         return -abs(float(data.qpos[0]) - self.goal), False
@@ -71,7 +49,8 @@ def seven():
 
 def fails(**options):
     raise RuntimeError(f"no robot on {options['port']}")
-'''
+"""
+)
 
 
 def played(task, domain, rng, actions):
@@ -267,6 +246,9 @@ def own(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("own")
 def test_a_users_own_arm_from_a_urdf():
+    as_in_the_guide = make_task("my_arm:Reach")
+    states = np.array([[0.1, 0.2], [0.3, 0.4]])
+    assert [part.tolist() for part in as_in_the_guide.motion(states, 0.02)] == [[[0.1], [0.3]], [[0.2], [0.4]]]
     task = make_task("my_arm:Arm", {"goal": 0.5})
     assert isinstance(task, Task) and task.name == "my_arm:Arm" and task.goal == 0.5
     heavier = task.domain("source").with_effects(BodyMass("rod", 3.0))
