@@ -97,13 +97,17 @@ class TrajectoryMatching:
         self.task, self.model, self.seen, self.act = task, model, seen, act
         self.data = [mujoco.MjData(model) for _ in range(2)]
         self.dt = task.period(model)
+        # time, positions, velocities; then what actuators with a lag or delay remember, which is nothing yet
+        self.rest = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(model, self.data[0], self.rest, mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
     def replay(self, parameters: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Positions along every window, (n, (H+1) nq)."""
         m = self.model
         low, high = m.actuator_ctrlrange.T
         substeps = self.task.frame_skip * self.task.action_repeat
-        x = np.concatenate([np.zeros((len(qpos), 1)), qpos, qvel], 1)
+        x = np.repeat(self.rest[None], len(qpos), 0)
+        x[:, 1 : 1 + m.nq + m.nv] = np.concatenate([qpos, qvel], 1)
         seen = [qpos]
         for j in range(self.seen.actions.shape[1]):
             states = x[:, 1 : 1 + m.nq + m.nv]

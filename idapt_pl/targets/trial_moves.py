@@ -21,8 +21,8 @@ CELLS = 4
 SHARP = 16
 """Images are blurred by their side over this, standard deviation."""
 
-PUSHED_STEPS = 6
-"""Control steps for which an actuator is pushed."""
+PUSHED_SECONDS, PUSHED_STEPS = 0.4, 6
+"""How long an actuator is pushed: so many seconds, and control steps at least."""
 
 ALIKE, UNLIKE = 0.6, -0.6
 """Cosines between two directions that are taken to be the same, and opposite."""
@@ -51,15 +51,15 @@ class TrialMoves:
     steps: int
 
 
-def try_moves(env: ImageEnv, share: float, seed: int = 0, steps: int = PUSHED_STEPS) -> TrialMoves:
-    """Push every actuator both ways, each time from a new start.
+def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
+    """Push every actuator both ways, each time from a new start, until an episode ends at most.
 
     Args:
         env: one simulation, or one robot.
         share: of the actuators' ranges, about their middles.
         seed: of the starts.
-        steps: control steps of a push, fewer where an episode ends.
     """
+    steps = max(PUSHED_STEPS, round(PUSHED_SECONDS / env.dt))
     space = env.single_action_space
     assert isinstance(space, gymnasium.spaces.Box)
     middle, half = (space.high + space.low) / 2, (space.high - space.low) / 2

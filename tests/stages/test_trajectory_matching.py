@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 import torch
 
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.modules import ActionTransformation
-from idapt_pl.stages.trajectory_matching import cut_windows, initialise_by_matching
+from idapt_pl.stages.trajectory_matching import (
+    MatchingWindows,
+    TrajectoryMatching,
+    cut_windows,
+    initialise_by_matching,
+)
 from idapt_pl.tasks import make_task
 
 
@@ -102,3 +108,25 @@ def test_windows_do_not_cross_an_episodes_end():
 def test_too_short_episodes_are_refused():
     with pytest.raises(ValueError, match="no episode in the target lasts 5 control steps"):
         cut_windows(np.zeros((6, 1)), np.zeros((6, 1)), np.array([0, 0, 0, 3, 3, 3]), 5, 1)
+
+
+@pytest.mark.parametrize("effect", [None, ActuatorDelay("slide", 0.1), ActuatorLag("slide", 0.08)])
+def test_what_is_replayed_is_what_the_repaired_source_does(effect):
+    """Also where a lag or a delay was found, whose actuators remember: a replay begins with nothing remembered."""
+    task, rng = make_task("inverted_pendulum"), np.random.default_rng(0)
+    model = task.domain("source").with_effects(*[effect] * (effect is not None)).compile()
+    actions = rng.uniform(-3, 3, (3, 8, 1))
+    starts = rng.uniform(-0.05, 0.05, (3, 4))
+    expected = np.zeros((3, 9, 2))
+    for n in range(3):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = starts[n, :2], starts[n, 2:]
+        expected[n, 0] = data.qpos
+        for t in range(8):
+            task.play(model, data, actions[n, t])
+            expected[n, t + 1] = data.qpos
+    windows = MatchingWindows(expected, actions, np.arange(3))
+    matching = TrajectoryMatching(task, model, windows, lambda parameters, states, a: a)
+    replayed = matching.replay(np.zeros(0), starts[:, :2], starts[:, 2:]).reshape(expected.shape)
+    np.testing.assert_allclose(replayed, expected, atol=1e-9)
+    assert np.abs(expected[:, -1] - expected[:, 0]).max() > 0.05
