@@ -13,6 +13,7 @@ from cli.fit import GroundingCLI
 from idapt_pl.files import write_atomically
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.run import Run
+from idapt_pl.targets import RecordedTarget
 from idapt_pl.targets.trial_moves import TrialMoves, suspicions, try_moves
 
 LARGE = 4
@@ -53,12 +54,22 @@ def main(args: list[str]) -> int:
 
 def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray]:
     """What the target shows when its actuators are pushed, if they may be, and its first image."""
-    env = run.worlds.blind_target(-1)
-    with closing(env):
+    target = run.worlds.target
+    if isinstance(target, RecordedTarget):
+        return None, first_frame(run, target)
+    with closing(run.worlds.blind_target(-1)) as env:
         if share is not None:
             moves = try_moves(env, share)
             return moves, moves.start
         return None, env.reset(seed=0)[0]["pixels"][0, -1]
+
+
+def first_frame(run: Run, target: RecordedTarget) -> np.ndarray:
+    """Of what was recorded for step 0; white where nothing is there yet."""
+    look = run.worlds.look
+    if target.inbox is not None and not target.brought(0):
+        return np.full((look.image_size, look.image_size, 3), 255, np.uint8)
+    return target.recording(0, look).episodes[0].observations["pixels"][0]
 
 
 def actions_table(run: Run) -> str:
@@ -79,17 +90,16 @@ def actions_table(run: Run) -> str:
 
 def sheet(source: TrialMoves, target: TrialMoves | None, shown: np.ndarray) -> np.ndarray:
     """Source above, target below: the start, and each actuator pushed one way and the other."""
-    rows = [
-        np.concatenate([source.start, *(f for pair in zip(source.plus, source.minus, strict=True) for f in pair)], 1)
-    ]
-    if target is None:
-        below = np.full_like(rows[0], 255)
-        below[:, : shown.shape[1]] = shown
-        rows.append(below)
-    else:
-        pairs = zip(target.plus, target.minus, strict=True)
-        rows.append(np.concatenate([target.start, *(f for pair in pairs for f in pair)], 1))
-    return np.concatenate(rows).repeat(LARGE, 0).repeat(LARGE, 1)
+    above = in_a_row(source)
+    below = np.full_like(above, 255) if target is None else in_a_row(target)
+    below[:, : shown.shape[1]] = shown
+    return np.concatenate([above, below]).repeat(LARGE, 0).repeat(LARGE, 1)
+
+
+def in_a_row(world: TrialMoves) -> np.ndarray:
+    """The start, and each actuator pushed one way and the other, beside each other."""
+    pairs = zip(world.plus, world.minus, strict=True)
+    return np.concatenate([world.start, *(frame for pair in pairs for frame in pair)], 1)
 
 
 def sheet_legend(target: TrialMoves | None) -> str:

@@ -42,6 +42,11 @@ def main(args: list[str]) -> int:
     values = {"--episodes": o.episodes, "--seed": o.seed, "--physics": o.physics}
     check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED, "--physics": COUNT_OR_NONE})
     run = Run.open(o.run)
+    if not run.worlds.target.measured:
+        name = run.worlds.target.name
+        raise ValueError(
+            f"the target {name} is not measured: its rewards are read with target: {{measure: true}} alone"
+        )
     if o.physics:
         check_physics(run, o.physics)
     run.restore_ledger()
@@ -96,6 +101,8 @@ def check_physics(run: Run, members: int) -> None:
         raise ValueError("--physics corrects readings of states, and this run's policies read none (policy.encoder)")
     if list(run.folder.glob("step_*/dynamics/final.ckpt")):
         raise ValueError("--physics plays the policy's actions in the source as they are, and this run has an F")
+    if not run.worlds.target.has_states:
+        raise ValueError(f"--physics reports errors of states, which {run.worlds.target.name} does not show")
     task = run.worlds.task
     try:
         task.motion(np.zeros((1, run.worlds.dimensions["state_dim"])), 1.0)

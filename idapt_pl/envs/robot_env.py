@@ -77,7 +77,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         check_robot(settings, self._robot)
         self._shape: tuple[int, ...] | None = None
         self._frames = np.zeros((1, frame_stack, image_size, image_size, 3), np.uint8)
-        self._elapsed = 0
+        self._elapsed, self._reset_already = 0, False
         space = self._robot.action_space
         self.single_action_space = gymnasium.spaces.Box(np.ravel(space.low), np.ravel(space.high), dtype=np.float32)
         pixels = gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8)
@@ -91,11 +91,14 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         return self.settings.period
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
-        """Begin a new episode.
+        """Begin a new episode; one that :meth:`step` has just begun is gone on with, as a reset can cost a walk.
 
         Raises:
             TargetFailed: if it cannot be begun.
         """
+        if self._reset_already:
+            self._reset_already = False
+            return {"pixels": self._frames.copy()}, {}
         if self.settings.attended:
             wait_for_person(self.settings.name)
         patience = None if self.settings.attended else self.settings.patience
@@ -129,7 +132,9 @@ class RobotEnv(gymnasium.vector.VectorEnv):
             seen["success"] = np.array([bool(infos.get("success", infos.get("is_success", False)))])
         if over or cut:
             seen |= {"final_obs": {"pixels": self._frames.copy()}, "_final_obs": np.array([True])}
+            self._reset_already = False
             self.reset()
+        self._reset_already = bool(over or cut)
         ends = np.array([bool(over)]), np.array([cut])
         return {"pixels": self._frames.copy()}, np.array([reward]), *ends, seen
 

@@ -76,7 +76,8 @@ def write_plan(path: Path, worlds: Worlds, policy: Policy, steps: int) -> None:
     if path.exists():
         return
     blind = np.zeros((1, worlds.frame_stack, worlds.image_size, worlds.image_size, 3), np.uint8)
-    actions = np.concatenate([worlds.actions(policy(blind)) for _ in range(steps)])
-    names = worlds.actions.names or [str(i) for i in range(actions.shape[1])]
+    to_target = worlds.actions
+    actions = np.concatenate([to_target(policy(blind)) for _ in range(steps)])
+    names = to_target.names or [str(i) for i in range(actions.shape[1])]
     rows = [",".join(names), *(",".join(f"{value:.6g}" for value in row) for row in actions)]
     write_atomically(path, lambda temporary: temporary.write_text("\n".join(rows) + "\n"))

@@ -49,7 +49,7 @@ class GymnasiumTask(EnvironmentTask):
             )
         self._env, self._file = env, Path(env.fullpath)
         self._copies: WeakKeyDictionary[mujoco.MjData, Any] = WeakKeyDictionary()
-        self._outcomes: WeakKeyDictionary[mujoco.MjData, tuple[float, bool, dict]] = WeakKeyDictionary()
+        self._outcomes: WeakKeyDictionary[mujoco.MjData, tuple[float, bool]] = WeakKeyDictionary()
         limit = made.spec.max_episode_steps if made.spec and made.spec.max_episode_steps else WITHOUT_LIMIT
         super().__init__(name, env.frame_skip, limit, **own)
         check_actuated(name, env.action_space.low, env.action_space.high, env.model)
@@ -88,11 +88,11 @@ class GymnasiumTask(EnvironmentTask):
 
     def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
         with self._lent(model, data) as env:
-            _, reward, over, _, infos = env.step(np.asarray(action))
-        self._outcomes[data] = float(reward), bool(over), infos
+            _, reward, over, _, _ = env.step(np.asarray(action))
+        self._outcomes[data] = float(reward), bool(over)
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
-        return self._outcomes[data][:2]
+        return self._outcomes[data]
 
     @contextmanager
     def _lent(self, model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:

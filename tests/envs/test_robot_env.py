@@ -210,6 +210,11 @@ def test_a_person_is_waited_for(monkeypatch):
     for _ in range(2):
         env.step(push(0.0))
     assert len(asked) == 2 and "Reset slider by hand" in asked[0]
+    env.reset(seed=1)
+    assert len(asked) == 2, "the episode that has just begun is gone on with"
+    env.step(push(0.0))
+    env.reset(seed=1)
+    assert len(asked) == 3
 
 
 def test_an_attended_robot_with_nobody_there_is_one_sentence(monkeypatch):

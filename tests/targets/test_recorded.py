@@ -146,6 +146,17 @@ def test_a_run_on_recordings_alone(tmp_path, capsys):
     assert main(["ledger", "--run", str(run)]) == 0
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_what_was_recorded_can_be_looked_at_before_a_run(tmp_path, there):
+    said = {"by_hand": str(tmp_path / "inbox")}
+    if there:
+        as_folder(tmp_path / "inbox/step_00/a", episodes(1)[0])
+    out = tmp_path / "seen.png"
+    assert main(["check", "--config", str(written(tmp_path, **said)), "--out", str(out)]) == 0
+    below = np.asarray(Image.open(out))[128:, :128, :3]  # the first picture, four times as large
+    assert (below == 255).all() != there
+
+
 def lab_cart(tmp_path):
     module: dict = {}
     exec(LAB, module)

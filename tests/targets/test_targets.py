@@ -128,6 +128,8 @@ def test_a_run_to_somebody_elses_environment_that_fails_in_the_middle_and_goes_o
     page = (run / "report.html").read_text()
     assert "the target is not measured" in page and "target (right" not in page and "same states" not in page
     assert main(["ledger", "--run", str(run)]) == 0
+    assert main(["evaluate", "--run", str(run), "--episodes", "1"]) == 1
+    assert "the target lab cart is not measured" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("lab")
