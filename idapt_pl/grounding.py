@@ -12,7 +12,14 @@ from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import Policy
 from idapt_pl.stages.aside import Aside, in_turn
-from idapt_pl.stages.collection import explorer, on_policy, record_source, record_target, source_teacher
+from idapt_pl.stages.collection import (
+    explorer,
+    on_policy,
+    record_source,
+    record_target,
+    replay_in_source,
+    source_teacher,
+)
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.dynamics import fit_F
@@ -113,8 +120,8 @@ class IterativeGrounding:
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
-        c, lengths, n = self.context, self.schedule.finetune, self.schedule.interactions
-        D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), n, g.G, g.F))
+        c, lengths = self.context, self.schedule.finetune
+        D_S = (*g.D_S, self.act_in_source(k, g, D_T[-1]))
         P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G)
         pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi)
@@ -173,6 +180,12 @@ class IterativeGrounding:
     def explore_source(self) -> Path:
         """D^S: images and states of the source, from exploration."""
         return record_source(self.context, 0, self.explore, self.schedule.source_images or self.schedule.images)
+
+    def act_in_source(self, k: int, g: Grounding, recording: Path) -> Path:
+        """D^S of grounding step k: the policy in the grounded source, or what it did in the target played again."""
+        if self.schedule.source_actions == "target":
+            return replay_in_source(self.context, k, recording, g.G, g.F)
+        return record_source(self.context, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F)
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -30,6 +30,34 @@ def collect(
     """
     episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels, keep))
     return Trajectories(episodes, env.dt, source)
+
+
+def replay(
+    env: ImageEnv, recordings: Sequence[Episode], seed: int, source: str, pixels: str = "pixels"
+) -> Trajectories:
+    """The actions of recorded episodes again, each from a start of its own and until it or its recording ends.
+
+    Args:
+        env: of one simulation.
+        recordings: whose actions (T, nu) are played, whatever there is to see.
+        seed: of the environment's resets.
+        source: free text for the file.
+        pixels: which images to record, as in :func:`collect`.
+    """
+    episodes = []
+    obs, _ = env.reset(seed=seed)
+    for recording in recordings:
+        builder = _EpisodeBuilder(obs, 0, pixels)
+        ended = False
+        for action in recording.actions:
+            obs, rewards, terminations, truncations, infos = env.step(action[None])
+            builder.add(action, infos.get("final_obs", obs), 0, (rewards[0], terminations[0], truncations[0]))
+            if ended := bool(terminations[0] or truncations[0]):
+                break
+        episodes.append(builder.finish("state" in obs))
+        if not ended:
+            obs, _ = env.reset()
+    return Trajectories(tuple(episodes), env.dt, source)
 
 
 def collect_each(env: ImageEnv, act: Policy, steps: int, seed: int) -> list[Trajectories]:

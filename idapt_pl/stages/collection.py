@@ -9,9 +9,10 @@ from pathlib import Path
 import torch
 
 from datamodules import Trajectories
+from datamodules.unpaired import read_all
 from idapt_pl.envs import TargetFailed, VectorStateEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, VisualTransformation
-from idapt_pl.rl.collect import collect
+from idapt_pl.rl.collect import collect, replay
 from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
 from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.run_folder.kept_episodes import KeptEpisodes
@@ -103,6 +104,23 @@ def record_source(
         return collect(env, make_policy(seed), steps, seed, f"{c.worlds.task.name} source, step {k}", "source_pixels")
 
     return c.stages.record(k, name, make)[0]
+
+
+def replay_in_source(
+    c: StageContext, k: int, recording: Path, G: VisualTransformation, F: ActionTransformation | None
+) -> Path:
+    """``source.h5`` of a grounding step: what the source shows and does when the target's actions are played in it.
+
+    Where a policy succeeds in the source and fails in the target, its images differ in what happens and not only in
+    looks, and a discriminator asks G to make up the difference. The same actions bring about the same.
+    """
+
+    def make(seed: int) -> Trajectories:
+        with closing(c.worlds.grounded(1, G if F is not None else None, F)) as env:
+            about = f"{c.worlds.task.name} source, the target's actions of step {k}"
+            return replay(env, read_all([recording]).episodes, seed, about, "source_pixels")
+
+    return c.stages.record(k, "source", make)[0]
 
 
 def on_policy(pi: AsymmetricSAC) -> MakePolicy:

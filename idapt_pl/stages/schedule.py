@@ -108,6 +108,8 @@ class Schedule:
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
+        source_actions: what the source is recorded with in a grounding step: the ``policy``, in the grounded source, or
+            the ``target``'s recorded actions again, so that G need not make up for what happened in one of them alone.
         pretrain: stages before the first grounding step.
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
@@ -128,6 +130,7 @@ class Schedule:
     exploration: Literal["random", "babble", "rehearse"] = "random"
     interactions: int = 1000
     source_policy: int | None = 10_000
+    source_actions: Literal["policy", "target"] = "policy"
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
     action_transformation: bool = True

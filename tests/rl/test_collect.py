@@ -9,7 +9,7 @@ import torch
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC
 from idapt_pl.modules.observation_noise import NoObservationNoise
-from idapt_pl.rl.collect import collect, collect_each
+from idapt_pl.rl.collect import collect, collect_each, replay
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.exploration import EXPLORATION, random_policy
 from idapt_pl.rl.grounded_rollout import garat_rollout
@@ -85,6 +85,20 @@ def test_collect_can_record_the_source_images_of_a_grounded_environment(make):
 
     for seen, source in zip(record("pixels"), record("source_pixels"), strict=True):
         np.testing.assert_array_equal(seen.observations["pixels"], 255 - source.observations["pixels"])
+
+
+def test_replayed_episodes_take_the_recorded_actions_and_end_with_the_recording_or_the_episode(make):
+    rng = np.random.default_rng(0)
+    recorded = collect(make(1), lambda pixels: rng.uniform(-50, 50, (1, 1)).astype(np.float32), 20, 0, "test")
+    gentle = collect(make(1), push(0.0), 6, 0, "test").episodes[0]
+    again = replay(make(1), [*recorded, gentle], 5, "again")
+    assert len(again) == len(recorded) + 1
+    for old, new in zip(recorded, again, strict=False):
+        assert len(new) <= len(old) and np.array_equal(new.actions, old.actions[: len(new)])
+        assert len(new) == len(old) or new.terminations[-1]
+    last = again.episodes[-1]
+    assert len(last) == 6 and abs(last.observations["state"][0, 0]) < 0.2  # begins anew, after one that was cut
+    assert last.observations["state"].shape[0] == 7
 
 
 @pytest.mark.parametrize("name", EXPLORATION)
