@@ -78,7 +78,8 @@ class Run:
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
         check_modules(context)
-        return cls(config, context, aside)
+        alone = worlds.target.alone and worlds.target.measured  # what is set aside plays it too
+        return cls(config, context, in_turn if alone else aside)
 
     @classmethod
     def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:

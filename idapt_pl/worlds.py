@@ -67,14 +67,15 @@ class Worlds:
 
     def blind_target(self, step: int) -> BlindTarget:
         """The target as training may see it: one robot, images and actions only, every step counted."""
-        return BlindTarget(self.rewarded_target(1), self.ledger, step, "training")
+        return BlindTarget(self.rewarded_target(1, asking=False), self.ledger, step, "training")
 
-    def rewarded_target(self, num_envs: int) -> ImageEnv:
+    def rewarded_target(self, num_envs: int, asking: bool = True) -> ImageEnv:
         """The target with its reward: for evaluation and the oracle reference, never for the method.
 
-        There are ``num_envs`` of it, or the one robot that there is.
+        There are ``num_envs`` of it, or the one robot that there is. A person who judges it is asked where an episode
+        ends, unless not ``asking``.
         """
-        return self.target.with_reward(num_envs, self.look)
+        return self.target.with_reward(num_envs, self.look, asking)
 
     def target_twin(self) -> VectorImageEnv | None:
         """A simulation of the target that can be put into the source's states, for evaluation; None without one."""

@@ -34,6 +34,7 @@ class RobotSettings:
         attended: wait for a person before every reset.
         patience: seconds that a step, and a reset that is not attended, may take.
         success: whether ``info`` says ``success`` or ``is_success``, for tasks whose metric that is.
+        asked: ask a person how an episode went, in place of rewards and ``info``.
     """
 
     name: str
@@ -44,6 +45,7 @@ class RobotSettings:
     attended: bool = False
     patience: float = 120.0
     success: bool = False
+    asked: bool = False
 
 
 class RobotEnv(gymnasium.vector.VectorEnv):
@@ -130,6 +132,8 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         seen: dict[str, Any] = {}
         if self.settings.success:
             seen["success"] = np.array([bool(infos.get("success", infos.get("is_success", False)))])
+        if self.settings.asked:
+            reward, seen = self.judged(over or cut)
         if over or cut:
             seen |= {"final_obs": {"pixels": self._frames.copy()}, "_final_obs": np.array([True])}
             self._reset_already = False
@@ -137,6 +141,11 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         self._reset_already = bool(over or cut)
         ends = np.array([bool(over)]), np.array([cut])
         return {"pixels": self._frames.copy()}, np.array([reward]), *ends, seen
+
+    def judged(self, ended: bool) -> tuple[float, dict[str, Any]]:
+        """Reward and what else is told of a step, by a person who is asked once, where the episode ends."""
+        told = ask_person(self.settings.name, self.settings.success) if ended else 0.0
+        return told, {"success": np.array([told > 0])} if self.settings.success else {}
 
     def close_extras(self, **kwargs: Any) -> None:
         self._ask("be closed", self.settings.patience, self._robot.close)
@@ -240,3 +249,26 @@ def wait_for_person(name: str) -> None:
         raise TargetFailed(
             f"target {name} is attended, and nobody is there: run in a terminal, or set target.attended: false"
         ) from None
+
+
+def ask_person(name: str, success: bool) -> float:
+    """How an episode went: 1 or 0 for success, else a number.
+
+    Raises:
+        TargetFailed: if nobody can answer.
+    """
+    question = "Was the goal reached (y or n)? " if success else "What was its return (a number)? "
+    while True:
+        try:
+            said = input(f"An episode of {name} is over. {question}").strip().lower()
+        except EOFError:
+            raise TargetFailed(
+                f"target {name} is judged by a person, and nobody is there: run in a terminal, or set "
+                "target.measure: false"
+            ) from None
+        try:
+            told = {"y": 1.0, "yes": 1.0, "n": 0.0, "no": 0.0}[said] if success else float(said)
+        except (KeyError, ValueError):
+            continue
+        if np.isfinite(told):
+            return told

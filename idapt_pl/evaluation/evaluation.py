@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 
-from idapt_pl.envs import ImageEnv
+from idapt_pl.envs import ImageEnv, TargetFailed
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
 from idapt_pl.files import blaming, write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import deterministic
-from idapt_pl.rl.returns import evaluate
+from idapt_pl.rl.returns import EpisodeOutcome, evaluate
 from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
+from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.run_folder.results import effect_files
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
@@ -39,27 +41,56 @@ class Evaluation:
     def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str) -> None:
         self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
 
-    def target_return(self, policy: AsymmetricSAC, seed: int) -> dict:
+    def target_return(self, policy: AsymmetricSAC, seed: int, kept: KeptOutcomes | None = None) -> dict:
         """Return (or success) of a policy in the target, acting with its mean, and how wrong it is about the state.
 
         Empty where the target is not to be measured.
+
+        Args:
+            policy: acts.
+            seed: of the episodes' starts.
+            kept: where the outcomes of a target that cannot be played again are kept meanwhile.
+
+        Raises:
+            TargetFailed: if the target fails.
         """
         target = self.worlds.target
         if not target.measured:
             return {}
-        env, act = self.worlds.rewarded_target(min(self.episodes, 25)), deterministic(policy)
+        act = deterministic(policy)
         errors = EstimateErrors(act)
-        with closing(env):
-            result = evaluate(env, act, self.episodes, seed, errors if target.has_states else None).to_dict()
+        watch = errors if target.has_states else None
+        before: list[EpisodeOutcome] = []
+        keep = None
+        if kept is not None and not target.repeatable:
+            before = [EpisodeOutcome(**outcome) for outcome in kept]
+            keep = lambda outcome: kept.add(asdict(outcome))  # noqa: E731
+        with closing(self.worlds.rewarded_target(min(self.episodes, 25))) as env:
+            result = evaluate(env, act, self.episodes, seed, watch, before, keep).to_dict()
         return result | {"state_errors": errors.to_dict()}
+
+    def keeping(self, step: int, name: str, purpose: str, make: Callable[[int, KeptOutcomes], dict]) -> dict:
+        """A measurement of a grounding step; if the target fails, episodes that are over are kept and counted."""
+        kept = KeptOutcomes(self.stages.folder(step), name)
+        try:
+            result = self.stages.measure(step, name, lambda seed: make(seed, kept))
+        except TargetFailed as failure:
+            self.worlds.ledger.enter(step, purpose, kept.steps)
+            whole = sum(outcome["whole"] for outcome in kept)
+            raise TargetFailed(
+                f"{failure}. {whole} of {self.episodes} episodes of {name.replace('_', ' ')}, step {step}, are kept; "
+                "when the target works again, the same command goes on"
+            ) from failure
+        kept.forget()
+        return result
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
 
-        def make(seed: int) -> dict:
-            return self.target_return(policy, seed) or {"interactions": 0}
+        def make(seed: int, kept: KeptOutcomes) -> dict:
+            return self.target_return(policy, seed, kept) or {"interactions": 0}
 
-        result = self.stages.measure(0, "direct_transfer", make)
+        result = self.keeping(0, "direct_transfer", DIRECT_TRANSFER, make)
         with blaming(self.stages.folder(0) / "direct_transfer.json"):
             if "mean" in result:
                 log.info("step 0  direct transfer: %.1f ± %.1f in the target", result["mean"], result["std"])
@@ -79,13 +110,13 @@ class Evaluation:
     ) -> dict:
         """Everything measured after one grounding step."""
 
-        def make(seed: int) -> dict:
+        def make(seed: int, kept: KeptOutcomes) -> dict:
             with closing(self.worlds.grounded(5, G, F)) as env:
                 act = deterministic(policy)
                 errors = EstimateErrors(act)
                 grounded = evaluate(env, act, 5, seed, errors)
             result = {
-                "target": self.target_return(policy, seed),
+                "target": self.target_return(policy, seed, kept),
                 "grounded": {"mean": grounded.mean, "std": grounded.std, "state_errors": errors.to_dict()},
                 "translation": paired_errors(self.worlds, policy, G, P_S, 200, seed),
             }
@@ -95,7 +126,7 @@ class Evaluation:
             result["video_interactions"] = self.show(step, result, policy, G, F)
             return result
 
-        result = self.stages.measure(step, "evaluation", make)
+        result = self.keeping(step, "evaluation", "evaluation", make)
         folder = self.stages.folder(step)
         with blaming(folder / "evaluation.json"):
             lost = result["target"].get("state_errors", {}).get("lost", 0)
@@ -140,7 +171,7 @@ class Evaluation:
         log_scalars(folder, scalars, step)
         videos, envs = [], list[ImageEnv]([self.worlds.grounded(1, G, F)])
         if self.worlds.target.measured:
-            envs.append(self.worlds.rewarded_target(1))
+            envs.append(self.worlds.rewarded_target(1, asking=False))
         for env in envs:
             with closing(env):
                 videos.append(record_video(env, deterministic(policy), VIDEO_STEPS, seed=step))

@@ -12,6 +12,7 @@ from typing import Any
 from datamodules.trajectories import count_steps
 from idapt_pl.files import blaming, read_json, verify
 from idapt_pl.run_folder.kept_episodes import PARTS
+from idapt_pl.run_folder.kept_outcomes import SO_FAR, read_outcomes, total_steps
 from idapt_pl.run_folder.results import read_result, step_of
 
 VIDEO = "policy_in_grounded_and_target"
@@ -92,6 +93,9 @@ def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list
                 collect(folder / name, partial(counted_entries, step, purpose, count))
         if (folder / PARTS).exists() and not (folder / "target.h5").exists():
             collect(folder / PARTS, partial(counted_entries, step, "training", parts_steps))
+        for name, purpose in {"direct_transfer": DIRECT_TRANSFER, "evaluation": "evaluation"}.items():
+            if (path := folder / f"{name}{SO_FAR}").exists() and not (folder / f"{name}.json").exists():
+                collect(path, partial(counted_entries, step, purpose, so_far_steps))
     for path in sorted(run.glob("evaluation_*.json")):
         collect(path, later_entries)
     return entries, unreadable
@@ -126,6 +130,11 @@ def recorded_steps(path: Path) -> int:
 def parts_steps(folder: Path) -> int:
     """Control steps of a recording that is not complete."""
     return sum(map(recorded_steps, sorted(folder.glob("*.h5"))))
+
+
+def so_far_steps(path: Path) -> int:
+    """Control steps of a measurement that is not complete."""
+    return total_steps(read_outcomes(path))
 
 
 def measured_steps(path: Path) -> int:

@@ -69,6 +69,7 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
         attended=said.get("attended", False),
         patience=said.get("patience", 120.0),
         success=task.metric == "success",
+        asked=said.get("measure") == "ask",
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
     return RobotTarget(name, make, settings, actions, bool(said.get("measure", False)))
@@ -95,6 +96,11 @@ def check_description(said: Mapping[str, Any]) -> str:
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise ValueError(f"target.{key} is {value!r}; give a number")
     check_ranges("target", numbers, {key: ranges[key] for key in numbers})
+    if said.get("measure", False) not in (True, False, "ask"):
+        raise ValueError(
+            f"target.measure is {said['measure']!r}; give true (its rewards are reported), ask (a person says how each "
+            "episode went) or false"
+        )
     for key in ("options", "actions"):
         if said.get(key) is not None and not isinstance(said[key], Mapping):
             raise ValueError(f"target.{key} is {said[key]!r}; give keys and values")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gymnasium
 
@@ -46,16 +46,23 @@ class Target(ABC):
         has_states: whether it shows the source's states, so that errors in them can be reported.
         actions: what it is told for the source's actions.
         repeatable: whether a recording that was interrupted can be made again, with the same seed, as it was.
+        alone: whether there is one of it, so that no two processes may play it at a time.
     """
 
     name: str
     measured: bool = True
     has_states: bool = False
     repeatable: bool = True
+    alone: bool = False
     actions: ActionMap
 
-    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
+    def with_reward(self, num_envs: int, look: Look, asking: bool = True) -> ImageEnv:
         """The target with its reward, ``num_envs`` times at most.
+
+        Args:
+            num_envs: how many are asked for.
+            look: how the run looks at it.
+            asking: whether a person who judges its episodes is asked.
 
         Raises:
             ValueError: of targets that cannot be played.
@@ -90,7 +97,7 @@ class SimulatedTarget(Target):
     def name(self) -> str:  # type: ignore[override]
         return self.domain.name
 
-    def with_reward(self, num_envs: int, look: Look) -> VectorImageEnv:
+    def with_reward(self, num_envs: int, look: Look, asking: bool = True) -> VectorImageEnv:
         return look.simulate(self.task, self.domain, num_envs)
 
     def posable_twin(self, look: Look) -> VectorImageEnv:
@@ -111,7 +118,7 @@ class OtherTaskTarget(Target):
     task: Task
     actions: ActionMap
 
-    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
+    def with_reward(self, num_envs: int, look: Look, asking: bool = True) -> ImageEnv:
         env = look.simulate(self.task, self.task.domain("source"), num_envs)
         return MappedActions(PixelsOnly(env), self.actions)
 
@@ -125,7 +132,7 @@ class RobotTarget(Target):
         make: makes the environment.
         settings: how it is played.
         actions: the source's to its own.
-        measured, repeatable: as of :class:`Target`.
+        measured, repeatable, alone: as of :class:`Target`.
     """
 
     name: str
@@ -134,7 +141,9 @@ class RobotTarget(Target):
     actions: ActionMap
     measured: bool = False
     repeatable: bool = False
+    alone: bool = True
 
-    def with_reward(self, num_envs: int, look: Look) -> ImageEnv:
-        env = RobotEnv(self.make, self.settings, look.image_size, look.frame_stack)
+    def with_reward(self, num_envs: int, look: Look, asking: bool = True) -> ImageEnv:
+        settings = replace(self.settings, asked=self.settings.asked and asking)
+        env = RobotEnv(self.make, settings, look.image_size, look.frame_stack)
         return MappedActions(env, self.actions)

@@ -1,6 +1,8 @@
 """Targets that are none of the task's domains, from what a config says of them to whole (tiny) runs."""
 
 import json
+from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from conftest import TINY
 
 from cli.main import main
 from datamodules import read_trajectories
+from idapt_pl.rl.returns import evaluate
 from idapt_pl.targets import Look, OtherTaskTarget, RobotTarget, make_target, target_name
 from idapt_pl.tasks import make_task
 
@@ -147,6 +150,57 @@ def test_returns_are_reported_where_the_user_says_so(tmp_path, capsys):
     assert main(["evaluate", "--run", str(run), "--episodes", "2", "--json"]) == 0
     policies = json.loads(capsys.readouterr().out)["policies"]
     assert 0 < policies["visual grounding, step 0"]["target"]["mean"] <= 30
+
+
+@pytest.mark.usefixtures("lab")
+def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fails(tmp_path, capsys, monkeypatch):
+    asked: list[str] = []
+
+    def answer(text):
+        asked.append(text)
+        return "what?" if len(asked) == 1 else "2.5"
+
+    monkeypatch.setattr("builtins.input", answer)
+    run = tmp_path / "run"
+    config = written(tmp_path, env="my_lab:CartPole", name="lab cart", measure="ask", horizon=8)
+    command = ["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]
+    command += ["--episodes", "3", "--side_by_side", "true"]  # which must not be: there is one robot
+    (tmp_path / "unplugged").write_text("70")  # 60 are recorded; one episode of 8, and two steps
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    assert "1 of 3 episodes of direct transfer, step 0, are kept" in said and len(asked) == 2
+    assert all("An episode of lab cart is over. What was its return" in text for text in asked)
+
+    def counted(purpose):
+        entries = json.loads((run / "ledger.json").read_text())["entries"]
+        return sum(e["count"] for e in entries if e["purpose"] == purpose)
+
+    assert counted("training") == 60 and counted("evaluation of direct transfer") == 10
+    (run / "ledger.json").unlink()
+    assert main(["ledger", "--run", str(run), "--repair"]) == 0
+    assert counted("training") == 60 and counted("evaluation of direct transfer") == 10
+
+    (tmp_path / "unplugged").write_text("1000")
+    assert main(command) == 0
+    result = json.loads((run / "step_00/direct_transfer.json").read_text())
+    assert (result["returns"], len(asked)) == ([2.5] * 3, 2 + 2 + 3)
+    assert not list(run.rglob("*_so_far.json"))
+    played = 1000 - int((tmp_path / "unplugged").read_text())
+    assert counted("evaluation of direct transfer") + counted("evaluation") == 10 + played
+    assert main(["ledger", "--run", str(run)]) == 0
+
+
+@pytest.mark.usefixtures("lab")
+def test_a_person_who_is_asked_for_success_says_yes_or_no(monkeypatch):
+    answers = iter(["perhaps", "Y", "no"])
+    monkeypatch.setattr("builtins.input", lambda text: next(answers))
+    target = make_target({"env": "my_lab:CartPole", "measure": "ask", "horizon": 2}, make_task("inverted_pendulum"))
+    target = replace(target, settings=replace(target.settings, success=True))
+    with closing(target.with_reward(1, LOOK)) as env:
+        result = evaluate(env, lambda pixels: np.zeros((1, 1), np.float32), 2, seed=0)
+    assert result.successes == (True, False) and result.mean == 0.5
+    with closing(target.with_reward(1, LOOK, asking=False)) as env:
+        assert evaluate(env, lambda pixels: np.zeros((1, 1), np.float32), 2, seed=0).successes == (False, False)
 
 
 def test_another_tasks_simulation_is_a_target_whose_states_and_model_stay_unknown():
