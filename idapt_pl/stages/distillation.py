@@ -20,6 +20,7 @@ from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import noisy_return
+from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
@@ -47,7 +48,9 @@ class TeacherSettings:
         noise: spread of slow noise on the states that the teacher's actor sees while it trains, in units of their
             spread; its critics see the true ones. So it learns to live with errors of estimates. 0 for none.
         offset: spread of errors that stay for a whole episode, likewise. What G misplaces, it misplaces in every image.
-        fading: share of these over which the teacher's share of the actions falls from 1 to 0.
+        strays: share of DAgger's steps in which random actions, held for some steps each, are played in place of
+            anybody's. So the student learns the way back from where its errors lead.
+        fading: share of DAgger's steps over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
@@ -59,6 +62,7 @@ class TeacherSettings:
     rehearse: int = 0
     noise: float = 0.0
     offset: float = 0.0
+    strays: float = 0.0
     fading: float = 0.5
     updates_per_step: float = 1.0
     candidates: int = 1
@@ -69,13 +73,19 @@ class TeacherSettings:
         check_ranges(
             "teacher",
             vars(self),
-            ranges | errors | {"updates_per_step": Range(0, 1e6, "(]"), "candidates": Range(1, 100)},
+            ranges
+            | errors
+            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]"), "candidates": Range(1, 100)},
         )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
                 "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give both: steps "
                 "and one of these, or none."
+            )
+        if self.strays and not self.dagger:
+            raise ValueError(
+                f"teacher.strays is {self.strays}, but they are DAgger's: give teacher.dagger, or no strays"
             )
         if not 0 < self.fading <= 1:
             raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
@@ -94,15 +104,18 @@ class DaggerExperience(Experience):
         seed: of resets and of who acts.
         fading: calls over which the teacher's share falls from 1 to 0.
         images: give images and states too, for the estimator.
+        strays: share of the steps in which neither acts.
     """
 
     def __init__(
-        self, env: VectorEnv, student: AsymmetricSAC, teacher: StateSAC, seed: int, fading: int, images: bool
-    ) -> None:
+        self, env: VectorEnv, student: AsymmetricSAC, teacher: StateSAC, seed: int, fading: int, images: bool,
+        strays: float = 0.0,
+    ) -> None:  # fmt: skip
         super().__init__(env, student, seed)
         self.teacher, self.share, self._fading = teacher, 1.0, fading
         self._kept = ("observation", "pixels", "state") if images else ("observation",)
         self._rng = np.random.default_rng(seed)
+        self._strays = Strays(env, strays, seed)
         self.act = self._act
 
     def __call__(self) -> dict[str, np.ndarray]:
@@ -116,7 +129,7 @@ class DaggerExperience(Experience):
         actions = self.policy.act_on(seen)
         taught = self._rng.random(len(actions)) < self.share
         actions[taught] = self.teacher.act(self._state)[taught]
-        return actions
+        return self._strays(actions)
 
 
 @torch.no_grad()
@@ -168,7 +181,9 @@ class Distillation:
             fading = math.ceil(t.fading * t.dagger / n)
             supervised = policy.supervised
             images = round(policy.hparams.estimator_updates * n) if supervised else 0
-            experience = DaggerExperience(make_env(device), policy, teacher.to(device), seed, fading, images > 0)
+            experience = DaggerExperience(
+                make_env(device), policy, teacher.to(device), seed, fading, images > 0, t.strays
+            )
             return ReplayDataModule(
                 experience,
                 ReplayBuffer(min(self.memory, t.dagger), seed),

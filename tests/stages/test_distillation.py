@@ -18,6 +18,7 @@ from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.report.run_record import ORDER
 from idapt_pl.rl.noisy_teacher import MisledTeacher, noisy_return
+from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.stages.distillation import (
     LABELLED,
@@ -51,6 +52,23 @@ def env(cart):
     env = GroundedEnv(VectorImageEnv(cart, cart.domain("source"), 2, 16, 2))
     yield env
     env.close()
+
+
+def test_strays_take_their_share_of_the_steps_are_held_and_stay_within_bounds(env, teacher):
+    played, strays = np.zeros((4000, 2, 1)), Strays(env, 0.3, seed=1)
+    chosen = np.zeros((2, 1))
+    for t in range(len(played)):
+        played[t] = strays(chosen)
+    strayed = played != 0
+    assert 0.25 < strayed.mean() < 0.35 and 50 < np.abs(played).max() <= 100
+    for sim in played[:, :, 0].T:
+        runs = np.diff(np.flatnonzero(np.append(np.insert(np.diff(sim) != 0, 0, True), True)))
+        held = runs[[sim[i] != 0 for i in np.cumsum(runs) - 1]]
+        assert held.min() >= 1 and held.max() == Strays.LONGEST
+    assert (Strays(env, 0.0, seed=1)(chosen) == chosen).all()
+    lessons = DaggerExperience(env, image_policy(encoder="supervised"), teacher, 0, 5, images=True, strays=0.5)
+    seen = np.concatenate([lessons()["label"] for _ in range(8)])
+    assert np.abs(seen).max() <= 1  # labels are the teacher's, whoever acted
 
 
 def test_labels_are_what_the_teacher_does_on_the_true_states(env, teacher):
