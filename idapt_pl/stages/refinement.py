@@ -15,7 +15,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
-from idapt_pl.smoothing import RecordingSmoother, reading_model
+from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.labels import known_starts, recordings_of
 from idapt_pl.tasks import Task
@@ -45,6 +45,36 @@ class Refined:
     log_halfwidth: float | None
 
 
+@dataclass(frozen=True)
+class KnownStartForecasts:
+    """How wrong forecasts from known starts are, positions alone, in units of their spread.
+
+    Attributes:
+        smooth: ensembles of the source that readings hardly correct.
+        recordings: first control steps of recordings, as a sensor reads them.
+        shown: components of the state that positions depend on.
+        scale: their spread.
+        seed: of the ensembles.
+    """
+
+    smooth: RecordingSmoother
+    recordings: Sequence[ReadRecording]
+    shown: Sequence[int]
+    scale: np.ndarray
+    seed: int
+
+    def __call__(self, effects: Sequence[Effect]) -> np.ndarray:
+        """Errors (n,) of the forecasts of every recording by the source with these effects."""
+        domain = self.smooth.domain.with_effects(*effects)
+        made = replace(self.smooth, domain=domain)(self.recordings, self.seed)
+        return centred_errors([s.surprise[1:, self.shown] / self.scale for s in made])
+
+    def lighter(self, recordings: int, members: int) -> KnownStartForecasts:
+        """Of fewer recordings, by fewer simulations."""
+        smooth = replace(self.smooth, members=min(members, self.smooth.members))
+        return replace(self, smooth=smooth, recordings=self.recordings[:recordings])
+
+
 def refined_effects(
     c: StageContext, step: int, found: list[dict], target: Sequence[Path], control: Path, G: VisualTransformation,
     pi: AsymmetricSAC,
@@ -67,8 +97,8 @@ def refined_effects(
         return found
 
     def make(seed: int) -> dict:
+        errors, _ = known_start_forecasts(c, target, control, G, pi, seed)
         effects = [effect_from_dict(e) for e in found]
-        errors = forecast_errors_of(c, target, control, G, pi, seed)
         better, how = refine_parameters(effects, errors)
         scores = [float(errors(e).mean()) for e in (effects, better)]
         kept = better if scores[1] < scores[0] else effects
@@ -81,29 +111,28 @@ def refined_effects(
     return c.stages.measure(step, "refined_effects", make)["effects"]
 
 
-def forecast_errors_of(
+def known_start_forecasts(
     c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int
-) -> Errors:
-    """How wrong forecasts of the target's first frames are, positions alone, in units of their spread."""
+) -> tuple[KnownStartForecasts, KnownStartForecasts]:
+    """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing."""
     worlds, sensor = c.worlds, pi.estimator(G)
     source, seen = read_all([control], also="state"), read_all(target)
     known = replace(source, episodes=tuple(G.translate_episode(e) for e in source.episodes[:RECORDINGS]))
     states = np.concatenate([e.observations["state"] for e in known])
-    readings = np.concatenate([r.readings for r in recordings_of(known, sensor, worlds.frame_stack)])
+    read = recordings_of(known, sensor, worlds.frame_stack)
+    readings = np.concatenate([r.readings for r in read])
     expected = reading_model(worlds.task, worlds.source_domain, readings, states).times(READING_ERROR)
-    first = replace(seen, episodes=seen.episodes[:RECORDINGS])
-    recordings = [r.first(STEPS) for r in recordings_of(first, sensor, worlds.frame_stack)]
+    first = recordings_of(replace(seen, episodes=seen.episodes[:RECORDINGS]), sensor, worlds.frame_stack)
     smooth = RecordingSmoother(
         worlds.task, worlds.source_domain, expected, MEMBERS, 0, torch.get_num_threads(), known_starts(worlds)
     )
     shown = position_components(worlds.task, states[0].astype(float))
     scale = states.std(0)[shown] + 1e-9
-
-    def errors(effects: Sequence[Effect]) -> np.ndarray:
-        made = replace(smooth, domain=worlds.source_domain.with_effects(*effects))(recordings, seed)
-        return centred_errors([s.surprise[1:, shown] / scale for s in made])
-
-    return errors
+    of_target, of_control = (
+        KnownStartForecasts(smooth, [r.first(STEPS) for r in recordings], shown, scale, seed)
+        for recordings in (first, read)
+    )
+    return of_target, of_control
 
 
 def centred_errors(surprises: Sequence[np.ndarray]) -> np.ndarray:

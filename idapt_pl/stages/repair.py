@@ -13,6 +13,7 @@ from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.known_start_search import effects_from_known_starts
 from idapt_pl.stages.refinement import refined_effects
 
 
@@ -60,8 +61,10 @@ class SourceRepair:
             return found.to_dict()
 
         found = self.context.stages.measure(k, "effects", make)["effects"]
-        if self.settings.refine:
+        if self.settings.refine and found:
             found = refined_effects(self.context, k, found, target, control, G, pi)
+        elif self.settings.refine:
+            found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi)
         self._add(k, found)
         return bool(found)
 
