@@ -44,6 +44,33 @@ def refinement_section(refined: dict) -> str:
     return paragraph(f"{said}{format_number(error['before'])} to {format_number(error['after'])}.") + table(heads, rows)
 
 
+def known_start_section(searched: dict) -> str:
+    """With which effect forecasts from known starts are best (``known_start_search.json``); empty if none was sought."""
+    if not searched:
+        return ""
+    said = (
+        "As nothing was believed, every candidate was tried in forecasts of the target's first frames, from where "
+        "episodes begin. "
+    )
+    if searched["best"] is None:
+        return paragraph(said + "None makes them better.")
+    (found,), error, gain = searched["parameters"], searched["error"], searched["gain"]
+    numbers = found["after"], error["before"], error["after"], gain["mean"], gain["standard_error"]
+    value, before, after, mean, spread = map(format_number, numbers)
+    verdict = "It was added" if searched["effects"] else "That is not enough, and nothing was added"
+    said += (
+        f"They are best with {phrase_at(found['effect'], found['target'])}, {found['parameter']} "
+        f"{format_number(found['after'])}: their error falls from {before} to {after} (by {mean} ± {spread}, one standard "
+        f"error). {verdict}."
+    )
+    rows = [
+        row(t["candidate"], f"#{format_number(t['value'])}", f"#{format_number(t['error'])}") for t in searched["tried"]
+    ]
+    return paragraph(said) + details(
+        "Candidates tried", table(("candidate", "#best of the values tried", "#error"), rows)
+    )
+
+
 def forecast_picture(example: ForecastExample) -> str:
     """An episode of the target and what forecasts it."""
     caption = (

@@ -38,6 +38,7 @@ ORDER = (
     "control",
     "effects",
     "refined_effects",
+    "known_start_search",
     "dynamics",
     "selection",
     "reading_errors",
@@ -69,6 +70,7 @@ class StepRecord:
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
         refined: their parameters by forecasts from known starts, as in ``refined_effects.json``.
+        searched: what forecasts from known starts made of every candidate, as in ``known_start_search.json``.
         selection: whether F was kept, as in ``selection.json``.
         labels: how wrong readings of the target are taken to be, as in ``reading_errors.json``.
         convergence: whether anything was left to learn, as in ``convergence.json``.
@@ -84,6 +86,7 @@ class StepRecord:
     evaluation: dict
     diagnosis: ImageDiagnosis | None
     refined: dict
+    searched: dict
     selection: dict
     labels: dict
     convergence: dict
@@ -219,6 +222,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
         refined=files.read(folder / "refined_effects.json"),
+        searched=files.read(folder / "known_start_search.json"),
         selection=files.read(folder / "selection.json"),
         labels=files.read(folder / "reading_errors.json"),
         convergence=files.read(folder / "convergence.json"),

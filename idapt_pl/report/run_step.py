@@ -7,7 +7,7 @@ import base64
 from idapt_pl.appearance import VisualEffects
 from idapt_pl.effects.wording import format_number
 from idapt_pl.files import verify
-from idapt_pl.report.found_effects import found_effects_section, refinement_section
+from idapt_pl.report.found_effects import found_effects_section, known_start_section, refinement_section
 from idapt_pl.report.html import (
     data_uri,
     details,
@@ -41,6 +41,7 @@ def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> 
         parts.append(visual_effects_section(step.visual_effects))
     if step.diagnosis is not None:
         parts += [found_effects_section(step.diagnosis, model), refinement_section(step.refined)]
+        parts.append(known_start_section(step.searched))
     parts += [step_images(step, run), step_numbers(step, metric)]
     grounded = "G, F" if "dynamics" in step.seconds else "G"
     learned = f"{grounded} and the policy" if step.k else "G, and effects" if step.source_repaired else "G alone"

@@ -9,6 +9,10 @@ EARLY = 0.1
 """Share of a run after which what it has cost counts as much as what was expected of it."""
 
 
+INSTEAD_OF = {"known_start_search": "refined_effects"}
+"""Stages in whose place others may be."""
+
+
 class TimeLeft:
     """Counts down the stages of a run.
 
@@ -23,7 +27,7 @@ class TimeLeft:
 
     def done(self, step: int, name: str, seconds: float | None) -> float:
         """Seconds left after a stage that took so many; None if it was done before."""
-        cost = self._left.pop((step, name), 0.0)
+        cost = self._left.pop((step, INSTEAD_OF.get(name, name)), 0.0)
         if seconds is not None and cost:
             self._taken += seconds
             self._expected += cost

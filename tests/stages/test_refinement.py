@@ -1,17 +1,20 @@
 """Parameters of effects are found again from biased readings of episodes whose start is known; others stay."""
 
-from dataclasses import replace
+import json
 
 import numpy as np
 import pytest
 
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.bodies import BodyMass
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
+from idapt_pl.stages.known_start_search import search_from_known_starts
 from idapt_pl.stages.refinement import (
     READING_ERROR,
-    centred_errors,
+    KnownStartForecasts,
     position_components,
     refine_parameters,
     scalars,
@@ -23,12 +26,11 @@ TRUE = 12.0
 """Mass of the torso, kg; nominal is 6.36."""
 
 
-@pytest.fixture(scope="module")
-def errors():
-    """Effects to errors of forecasts of what a biased sensor reads of a cheetah with a heavier torso."""
-    task, rng = make_task("half_cheetah"), np.random.default_rng(0)
+def forecasts(*missing, seed=0):
+    """Forecasts of what a biased sensor reads of a cheetah with these effects, by one without."""
+    task, rng = make_task("half_cheetah"), np.random.default_rng(seed)
     source = task.domain("source")
-    env = VectorStateEnv(task, source.with_effects(BodyMass("torso", TRUE)), 6)
+    env = VectorStateEnv(task, source.with_effects(*missing), 6)
     obs, _ = env.reset(seed=1)
     states, actions = [obs["state"]], []
     for _ in range(25):
@@ -42,12 +44,38 @@ def errors():
     expected = reading_model(task, source, rows + 0.1 * spread * rng.normal(size=rows.shape), rows).times(READING_ERROR)
     with_starts = RecordingSmoother(task, source, expected, 16, 0, 1, states[0])
     recordings = [ReadRecording(read[:, i], actions[:, i]) for i in range(6)]
+    return KnownStartForecasts(with_starts, recordings, range(8), spread[:8], 0)
 
-    def of(effects):
-        made = replace(with_starts, domain=source.with_effects(*effects))(recordings, 0)
-        return centred_errors([s.surprise[1:, :8] / spread[:8] for s in made])
 
-    return of
+@pytest.fixture(scope="module")
+def errors():
+    """Of a cheetah with a heavier torso."""
+    return forecasts(BodyMass("torso", TRUE))
+
+
+CANDIDATES = [
+    Candidate(BodyMass, "torso", ("mass",), (6.36,), (3.0,)),
+    Candidate(BodyMass, "ffoot", ("mass",), (0.85,), (0.5,)),
+    Candidate(JointDamping, "bshin", ("damping",), (4.5,), (4.0,)),
+    Candidate(ActuatorGain, "*", ("gain",), (1.0,), (0.3,)),
+]
+"""The first is right."""
+
+
+def test_what_is_missing_is_found_from_known_starts_and_nothing_where_nothing_is(errors):
+    nothing = forecasts(seed=5)
+    found = search_from_known_starts(CANDIDATES, errors, nothing).to_dict()
+    (effect,) = found["effects"]
+    assert (effect["effect"], effect["target"]) == ("body_mass", "torso")
+    assert abs(np.log(effect["parameters"]["mass"] / TRUE)) < 0.2
+    assert found["tried"][0]["candidate"] == "body_mass(torso)" and found["error"]["after"] < found["error"]["before"]
+    assert json.loads(json.dumps(found)) == found
+
+    for of_target in (nothing, forecasts(seed=6)):
+        none = search_from_known_starts(CANDIDATES, of_target, nothing).to_dict()
+        assert none["effects"] == []
+    # what helps in the control too makes up for the sensor
+    assert search_from_known_starts(CANDIDATES, errors, errors).to_dict()["effects"] == []
 
 
 @pytest.mark.parametrize("start", [8.5, 16.0])
