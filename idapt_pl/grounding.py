@@ -175,11 +175,13 @@ class IterativeGrounding:
         """D^T: images of the target, from exploration."""
         if self.schedule.exploration == "rehearse":
             source_teacher(self.context)  # here, so that its training is a stage and not part of the recording
-        return record_target(self.context, 0, self.explore, self.schedule.images)
+        return record_target(self.context, 0, self.explore, self.schedule.images, self.schedule.exploration_horizon)
 
     def explore_source(self) -> Path:
         """D^S: images and states of the source, from exploration."""
-        return record_source(self.context, 0, self.explore, self.schedule.source_images or self.schedule.images)
+        s = self.schedule
+        steps, horizon = s.source_images or s.images, s.exploration_horizon
+        return record_source(self.context, 0, self.explore, steps, horizon=horizon)
 
     def act_in_source(self, k: int, g: Grounding, recording: Path) -> Path:
         """D^S of grounding step k: the policy in the grounded source, or what it did in the target played again."""
@@ -189,7 +191,8 @@ class IterativeGrounding:
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""
-        return record_source(self.context, k, self.explore, self.schedule.images, name="control")
+        steps, horizon = self.schedule.images, self.schedule.exploration_horizon
+        return record_source(self.context, k, self.explore, steps, name="control", horizon=horizon)
 
     def explore(self, seed: int, num_envs: int = 1) -> Policy:
         """The policy that collects D^S and D^T before there is one for the target."""

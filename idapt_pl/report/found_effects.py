@@ -45,7 +45,7 @@ def refinement_section(refined: dict) -> str:
 
 
 def known_start_section(searched: dict) -> str:
-    """With which effect forecasts from known starts are best (``known_start_search.json``); empty if none was sought."""
+    """With what forecasts from known starts are best (``known_start_search.json``); empty if nothing was sought."""
     if not searched:
         return ""
     said = (
@@ -59,16 +59,12 @@ def known_start_section(searched: dict) -> str:
     value, before, after, mean, spread = map(format_number, numbers)
     verdict = "It was added" if searched["effects"] else "That is not enough, and nothing was added"
     said += (
-        f"They are best with {phrase_at(found['effect'], found['target'])}, {found['parameter']} "
-        f"{format_number(found['after'])}: their error falls from {before} to {after} (by {mean} ± {spread}, one standard "
-        f"error). {verdict}."
+        f"They are best with {phrase_at(found['effect'], found['target'])}, {found['parameter']} {value}: their error "
+        f"falls from {before} to {after} (by {mean} ± {spread}, one standard error). {verdict}."
     )
-    rows = [
-        row(t["candidate"], f"#{format_number(t['value'])}", f"#{format_number(t['error'])}") for t in searched["tried"]
-    ]
-    return paragraph(said) + details(
-        "Candidates tried", table(("candidate", "#best of the values tried", "#error"), rows)
-    )
+    tried = [(t["candidate"], *(f"#{format_number(t[key])}" for key in ("value", "error"))) for t in searched["tried"]]
+    heads = ("candidate", "#best of the values tried", "#error")
+    return paragraph(said) + details("Candidates tried", table(heads, [row(*cells) for cells in tried]))
 
 
 def forecast_picture(example: ForecastExample) -> str:

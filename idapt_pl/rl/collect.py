@@ -13,7 +13,7 @@ from idapt_pl.rl.policy import Policy, tick
 
 def collect(
     env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels",
-    keep: Callable[[Episode], None] | None = None,
+    keep: Callable[[Episode], None] | None = None, horizon: int | None = None,
 ) -> Trajectories:  # fmt: skip
     """Exactly ``steps`` control steps, cut into episodes; the last one of each simulation may be unfinished.
 
@@ -27,8 +27,10 @@ def collect(
         source: free text for the file.
         pixels: which images to record, ``"pixels"`` or a grounded environment's ``"source_pixels"``.
         keep: is given every episode when it ends, and the one that is under way when something fails.
+        horizon: control steps after which an episode is begun anew; None where the environment says when. For one
+            simulation alone.
     """
-    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels, keep))
+    episodes = tuple(episode for _, episode in play(env, act, steps, seed, pixels, keep, horizon))
     return Trajectories(episodes, env.dt, source)
 
 
@@ -68,9 +70,11 @@ def collect_each(env: ImageEnv, act: Policy, steps: int, seed: int) -> list[Traj
 
 
 def play(
-    env: ImageEnv, act: Policy, steps: int, seed: int, pixels: str, keep: Callable[[Episode], None] | None = None
-) -> list[tuple[int, Episode]]:
+    env: ImageEnv, act: Policy, steps: int, seed: int, pixels: str, keep: Callable[[Episode], None] | None = None,
+    horizon: int | None = None,
+) -> list[tuple[int, Episode]]:  # fmt: skip
     """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
+    assert horizon is None or env.num_envs == 1
     obs, _ = env.reset(seed=seed)
     labelled = "state" in obs
     episodes: list[tuple[int, Episode]] = []
@@ -80,9 +84,14 @@ def play(
         while taken < steps:
             actions = act(obs["pixels"])
             obs, rewards, terminations, truncations, infos = env.step(actions)
-            tick(act, terminations | truncations)
-            successor = infos.get("final_obs", obs)
             taken += env.num_envs
+            successor = infos.get("final_obs", obs)
+            ended = terminations | truncations
+            if horizon and len(running[0].actions) + 1 >= horizon and not ended.any():
+                truncations, ended = np.ones_like(truncations), np.ones_like(ended)
+                if taken < steps:
+                    obs, _ = env.reset()
+            tick(act, ended)
             for i, builder in enumerate(running):
                 builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
                 if terminations[i] or truncations[i] or taken >= steps:

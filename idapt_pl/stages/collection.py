@@ -39,10 +39,11 @@ def source_teacher(c: StageContext) -> StateSAC:
     return c.teacher.of_the_source(c.new_policy)
 
 
-def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) -> Path:
+def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int, horizon: int | None = None) -> Path:
     """``target.h5`` of a grounding step: so many control steps in the target, images and actions, on the ledger.
 
-    What a target that cannot be played again showed before it failed, or the run was stopped, is gone on with.
+    What a target that cannot be played again showed before it failed, or the run was stopped, is gone on with. Episodes
+    are begun anew after ``horizon`` steps, if that is given.
 
     Raises:
         TargetFailed: if the target fails; the message says what is kept.
@@ -59,7 +60,9 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int) 
         if (left := steps - kept.steps) > 0:
             with closing(c.worlds.blind_target(k)) as env:
                 keep = None if target.repeatable else kept.add
-                played = collect(env, make_policy(seed + len(before)), left, seed + len(before), about, keep=keep)
+                played = collect(
+                    env, make_policy(seed + len(before)), left, seed + len(before), about, keep=keep, horizon=horizon
+                )
             before.extend(played)
         return Trajectories(tuple(before), kept.dt, about)
 
@@ -96,12 +99,14 @@ def record_source(
     G: VisualTransformation | None = None,
     F: ActionTransformation | None = None,
     name: str = "source",
+    horizon: int | None = None,
 ) -> Path:
     """``<name>.h5`` of a grounding step: source images and states, of a policy in the source behind G and F."""
 
     def make(seed: int) -> Trajectories:
-        env = c.worlds.grounded(1, G, F)
-        return collect(env, make_policy(seed), steps, seed, f"{c.worlds.task.name} source, step {k}", "source_pixels")
+        about = f"{c.worlds.task.name} source, step {k}"
+        with closing(c.worlds.grounded(1, G, F)) as env:
+            return collect(env, make_policy(seed), steps, seed, about, "source_pixels", horizon=horizon)
 
     return c.stages.record(k, name, make)[0]
 

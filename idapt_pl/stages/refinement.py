@@ -51,7 +51,8 @@ class KnownStartForecasts:
 
     Attributes:
         smooth: ensembles of the source that readings hardly correct.
-        recordings: first control steps of recordings, as a sensor reads them.
+        recordings: as a sensor reads them.
+        steps: of each, from its start.
         shown: components of the state that positions depend on.
         scale: their spread.
         seed: of the ensembles.
@@ -59,6 +60,7 @@ class KnownStartForecasts:
 
     smooth: RecordingSmoother
     recordings: Sequence[ReadRecording]
+    steps: int
     shown: Sequence[int]
     scale: np.ndarray
     seed: int
@@ -66,13 +68,21 @@ class KnownStartForecasts:
     def __call__(self, effects: Sequence[Effect]) -> np.ndarray:
         """Errors (n,) of the forecasts of every recording by the source with these effects."""
         domain = self.smooth.domain.with_effects(*effects)
-        made = replace(self.smooth, domain=domain)(self.recordings, self.seed)
+        made = replace(self.smooth, domain=domain)([r.first(self.steps) for r in self.recordings], self.seed)
         return centred_errors([s.surprise[1:, self.shown] / self.scale for s in made])
 
     def lighter(self, recordings: int, members: int) -> KnownStartForecasts:
         """Of fewer recordings, by fewer simulations."""
         smooth = replace(self.smooth, members=min(members, self.smooth.members))
         return replace(self, smooth=smooth, recordings=self.recordings[:recordings])
+
+    def following(self, steps: int, reading_error: float) -> KnownStartForecasts:
+        """Over more steps, readings taken to be so many times as wrong as on translated images.
+
+        So they correct simulations, and each forecast is of the next one alone.
+        """
+        smooth = self.smooth.supposing(reading_error / READING_ERROR)
+        return replace(self, smooth=smooth, steps=steps)
 
 
 def refined_effects(
@@ -129,8 +139,7 @@ def known_start_forecasts(
     shown = position_components(worlds.task, states[0].astype(float))
     scale = states.std(0)[shown] + 1e-9
     of_target, of_control = (
-        KnownStartForecasts(smooth, [r.first(STEPS) for r in recordings], shown, scale, seed)
-        for recordings in (first, read)
+        KnownStartForecasts(smooth, recordings, STEPS, shown, scale, seed) for recordings in (first, read)
     )
     return of_target, of_control
 

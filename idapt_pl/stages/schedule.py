@@ -105,6 +105,8 @@ class Schedule:
             target interaction, and P^S and the policy's encoder overfit few. None for as many as ``images``.
         exploration: the policy that collects them, ``random`` (uniform actions), ``babble`` (slower and at several
             strengths) or ``rehearse`` (what the teacher does in the source, replayed open loop).
+        exploration_horizon: control steps after which an exploring episode is begun anew, in target and source; None
+            for the task's own. What falls early in an episode shows nothing new for the rest of it.
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
@@ -128,6 +130,7 @@ class Schedule:
     images: int = 20_000
     source_images: int | None = None
     exploration: Literal["random", "babble", "rehearse"] = "random"
+    exploration_horizon: int | None = None
     interactions: int = 1000
     source_policy: int | None = 10_000
     source_actions: Literal["policy", "target"] = "policy"
@@ -141,7 +144,8 @@ class Schedule:
 
     def __post_init__(self) -> None:
         once = {"images": COUNT, "source_images": COUNT, "interactions": COUNT, "source_policy": COUNT_OR_NONE}
-        check_ranges("schedule", vars(self), once | {"grounding_steps": Range(0, 99)})
+        once |= {"grounding_steps": Range(0, 99), "exploration_horizon": Range(2, 1e6)}
+        check_ranges("schedule", vars(self), once)
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))

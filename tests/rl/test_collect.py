@@ -87,6 +87,30 @@ def test_collect_can_record_the_source_images_of_a_grounded_environment(make):
         np.testing.assert_array_equal(seen.observations["pixels"], 255 - source.observations["pixels"])
 
 
+def test_episodes_are_begun_anew_after_the_horizon_that_is_asked_for(make):
+    ticks = []
+
+    class Push:
+        def __call__(self, pixels):
+            return np.zeros((1, 1), np.float32)
+
+        def tick(self, ended):
+            ticks.append(bool(ended[0]))
+
+    env = make(1)
+    trajectories = collect(env, Push(), 10, 0, "test", horizon=4)
+    assert [len(e) for e in trajectories] == [4, 4, 2] and sum(ticks) == 2
+    assert [e.truncations[-1] for e in trajectories] == [True, True, False]
+    starts = [e.observations["state"][0, 0] for e in trajectories]
+    assert len(set(starts)) == 3 and np.abs(starts).max() < 0.2  # each from a start of its own
+    assert [len(e) for e in collect(make(1), push(0.0), 12, 0, "test", horizon=9)] == [
+        6,
+        6,
+    ]  # the task's own is shorter
+    whole, short = (collect(make(1), push(0.0), 4, 0, "", horizon=h) for h in (None, 4))
+    np.testing.assert_array_equal(whole.episodes[0].observations["state"], short.episodes[0].observations["state"])
+
+
 def test_replayed_episodes_take_the_recorded_actions_and_end_with_the_recording_or_the_episode(make):
     rng = np.random.default_rng(0)
     recorded = collect(make(1), lambda pixels: rng.uniform(-50, 50, (1, 1)).astype(np.float32), 20, 0, "test")

@@ -44,7 +44,7 @@ def forecasts(*missing, seed=0):
     expected = reading_model(task, source, rows + 0.1 * spread * rng.normal(size=rows.shape), rows).times(READING_ERROR)
     with_starts = RecordingSmoother(task, source, expected, 16, 0, 1, states[0])
     recordings = [ReadRecording(read[:, i], actions[:, i]) for i in range(6)]
-    return KnownStartForecasts(with_starts, recordings, range(8), spread[:8], 0)
+    return KnownStartForecasts(with_starts, recordings, 25, range(8), spread[:8], 0)
 
 
 @pytest.fixture(scope="module")
