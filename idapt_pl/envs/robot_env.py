@@ -80,6 +80,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         self._shape: tuple[int, ...] | None = None
         self._frames = np.zeros((1, frame_stack, image_size, image_size, 3), np.uint8)
         self._elapsed, self._reset_already = 0, False
+        self._stopped: BaseException | None = None
         space = self._robot.action_space
         self.single_action_space = gymnasium.spaces.Box(np.ravel(space.low), np.ravel(space.high), dtype=np.float32)
         pixels = gymnasium.spaces.Box(0, 255, self._frames.shape[1:], np.uint8)
@@ -98,6 +99,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         Raises:
             TargetFailed: if it cannot be begun.
         """
+        self._raise_what_stopped_it()
         if self._reset_already:
             self._reset_already = False
             return {"pixels": self._frames.copy()}, {}
@@ -115,6 +117,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         Raises:
             TargetFailed: if it cannot be made, or what comes back is no image of the same size.
         """
+        self._raise_what_stopped_it()
         space = self._robot.action_space
         action = np.clip(actions[0].reshape(space.shape), space.low, space.high).astype(space.dtype)
         reward, over, cut, infos = 0.0, False, False, {}
@@ -137,8 +140,11 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         if over or cut:
             seen |= {"final_obs": {"pixels": self._frames.copy()}, "_final_obs": np.array([True])}
             self._reset_already = False
-            self.reset()
-        self._reset_already = bool(over or cut)
+            try:
+                self.reset()
+            except BaseException as stopped:  # this step was taken, and is told of first
+                self._stopped = stopped
+        self._reset_already = bool(over or cut) and self._stopped is None
         ends = np.array([bool(over)]), np.array([cut])
         return {"pixels": self._frames.copy()}, np.array([reward]), *ends, seen
 
@@ -147,7 +153,14 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         told = ask_person(self.settings.name, self.settings.success) if ended else 0.0
         return told, {"success": np.array([told > 0])} if self.settings.success else {}
 
+    def _raise_what_stopped_it(self) -> None:
+        stopped, self._stopped = self._stopped, None
+        if stopped is not None:
+            raise stopped
+
     def close_extras(self, **kwargs: Any) -> None:
+        if not isinstance(self._stopped, TargetFailed):
+            self._raise_what_stopped_it()  # a person did
         self._ask("be closed", self.settings.patience, self._robot.close)
 
     def _ask(self, what: str, seconds: float | None, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:

@@ -10,6 +10,7 @@ import pytest
 from idapt_pl.envs import ActionMap, MappedActions, RobotEnv, TargetFailed
 from idapt_pl.envs.patient import Patient
 from idapt_pl.envs.robot_env import RobotSettings, as_image
+from idapt_pl.rl.collect import collect
 
 BOX, UINT8 = gymnasium.spaces.Box, np.uint8
 
@@ -215,6 +216,33 @@ def test_a_person_is_waited_for(monkeypatch):
     env.step(push(0.0))
     env.reset(seed=1)
     assert len(asked) == 3
+
+
+@pytest.mark.parametrize("stop", [EOFError(), KeyboardInterrupt()])
+def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monkeypatch, stop):
+    """So it is recorded and counted; what stopped the robot comes with the next call."""
+    answers = [""]
+
+    def answer(text):
+        if not answers:
+            raise stop
+        return answers.pop()
+
+    monkeypatch.setattr("builtins.input", answer)
+    kept, expected = [], KeyboardInterrupt if isinstance(stop, KeyboardInterrupt) else TargetFailed
+    env = robot(Slider(), attended=True, horizon=2)
+    with pytest.raises(expected):
+        collect(env, lambda pixels: push(0.5), 4, 0, "slider", keep=kept.append)
+    assert [len(episode) for episode in kept] == [2]
+    answers.append("")
+    assert env.reset(seed=0)[0]["pixels"].any()  # and it can be gone on with
+    env.step(push(0.0))
+    env.step(push(0.0))
+    if expected is KeyboardInterrupt:
+        with pytest.raises(KeyboardInterrupt):
+            env.close()  # nobody needs a new episode, but a person wants to stop
+    else:
+        env.close()
 
 
 def test_an_attended_robot_with_nobody_there_is_one_sentence(monkeypatch):
