@@ -40,6 +40,9 @@ FIELDS = (
     "cpu",
 )
 
+OTHER_ENGINE = ("fetch_reach", "sawyer_push")
+"""Tasks whose hard target Filament draws; without Vulkan the classic renderer does, and it is another target."""
+
 
 def run(config: Path, seed: int, extra: list[str], name: str) -> Path:
     """One run, resumed, or left as it is if it was finished before. Returns its folder."""
@@ -68,6 +71,8 @@ def rows(folder: Path, method: str) -> list[dict]:
         return json.loads((folder / f"{name}.json").read_text())
 
     summary, provenance = read("summary"), read("run")
+    if (summary["target"], provenance["filament"]) == ("hard", False) and summary["task"] in OTHER_ENGINE:
+        method += ", classic renderer"
     common = {
         "task": summary["task"],
         "target": summary["target"],
