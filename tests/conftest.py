@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+import yaml
 from filelock import FileLock
 
 from cli.main import main
@@ -167,3 +168,17 @@ def finished_run(tmp_path_factory, tiny_args, worker_id):
         told = (folder / "config.yaml").read_text()
         (folder / "config.yaml").write_text(told.replace(str(shared), str(folder)))
     return folder
+
+
+def tiny_config(**entries):
+    """A config for a tiny run, nested as YAML has it; its encoder is supervised, as one that is exported is."""
+    config: dict = {}
+    for key, value in TINY.items():
+        *parents, last = key.split(".")
+        inside = config
+        for parent in parents:
+            inside = inside.setdefault(parent, {})
+        inside[last] = yaml.safe_load(value) if isinstance(value, str) else value
+    config["schedule"] |= {"grounding_steps": 1, "lengths": "given"}
+    config["policy"]["encoder"] = "supervised"
+    return config | entries

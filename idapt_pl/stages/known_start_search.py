@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 LIGHT_RECORDINGS, LIGHT_MEMBERS = 6, 24
 """With which all candidates are tried."""
-FINALISTS = 3
+JUDGED = 3
 """Candidates that are judged, by forecasts over longer parts of recordings, and whose value is refined."""
 FOLLOWED_STEPS, FOLLOWED_MEMBERS, FOLLOWED_ERROR = 200, 24, 1.5
 """Control steps, simulations, and how many times as wrong as on translated images readings are taken to be for that.
@@ -127,7 +127,7 @@ def search_from_known_starts(
     )
     without = of_target([])
     before = float(without.mean())
-    refined = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:FINALISTS]]
+    refined = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
     if not refined:
         return KnownStartSearch(None, False, before, before, (0.0, 0.0, 0.0), told)
     errors = [of_target(effects) for effects, _ in refined]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from conftest import TINY
+from conftest import tiny_config
 
 from cli.main import main
 from datamodules import read_trajectories
@@ -85,15 +85,7 @@ def lab(tmp_path, monkeypatch):
 
 def written(folder, **target):
     """A config for a tiny run to a target; keys with dots are made nested."""
-    config: dict = {"target": target}
-    for key, value in TINY.items():
-        *parents, last = key.split(".")
-        inside = config
-        for parent in parents:
-            inside = inside.setdefault(parent, {})
-        inside[last] = yaml.safe_load(value) if isinstance(value, str) else value
-    config["schedule"] |= {"grounding_steps": 1, "lengths": "given"}
-    config["policy"]["encoder"] = "supervised"
+    config = tiny_config(target=target)
     path = folder / "own.yaml"
     path.write_text(yaml.safe_dump(config))
     return path
