@@ -8,6 +8,8 @@ from typing import Any
 
 import mujoco
 
+from idapt_pl.effects.compile_time import write_out_masses
+
 
 def read_model(path: Path) -> mujoco.MjSpec:
     """A model as something that effects can edit; what has no name gets one (:func:`name_elements`).
@@ -19,6 +21,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
         raise ValueError(f"{path}: no such file; expected the model (MJCF)")
     try:
         spec = name_elements(mujoco.MjSpec.from_file(str(path)))
+        write_out_masses(spec)
     except ValueError as error:
         raise ValueError(f"{path}: MuJoCo cannot read the model: {' '.join(str(error).split())}") from None
     if not len(spec.joints):

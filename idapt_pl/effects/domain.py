@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect
+from idapt_pl.effects.compile_time import write_out_masses
 from idapt_pl.effects.runtime import CommandEffect
 from idapt_pl.ranges import Range, check_ranges
 
@@ -65,6 +66,8 @@ class Domain:
     def spec(self) -> mujoco.MjSpec:
         """The base model with all effects applied."""
         spec = self.base()
+        if self.effects:
+            write_out_masses(spec)
         for effect in self.effects:
             effect.apply(spec)
         return spec
