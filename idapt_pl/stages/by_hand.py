@@ -10,7 +10,7 @@ from datamodules.atomic import write_atomically
 from datamodules.episode_folder import ACTIONS
 from datamodules.users_error import WholeError
 from idapt_pl.deployment import write_play, write_policy
-from idapt_pl.rl.policy import Acting, Policy
+from idapt_pl.rl.policy import Acting, Policy, tick
 from idapt_pl.targets import RecordedTarget
 from idapt_pl.targets.recorded import ENOUGH
 from idapt_pl.worlds import Worlds
@@ -28,7 +28,9 @@ class TargetNeeded(WholeError):
     exit_code = 3
 
 
-def ask_for_recording(worlds: Worlds, target: RecordedTarget, k: int, policy: Policy, steps: int, command: str) -> None:
+def ask_for_recording(
+    worlds: Worlds, target: RecordedTarget, k: int, policy: Policy, steps: int, command: str, horizon: int | None = None
+) -> None:
     """Say what is missing of the recordings of a grounding step, and put beside it what is to be played.
 
     Args:
@@ -38,6 +40,7 @@ def ask_for_recording(worlds: Worlds, target: RecordedTarget, k: int, policy: Po
         policy: explores, or acts on images.
         steps: control steps that are wanted.
         command: that goes on.
+        horizon: control steps after which exploration begins anew; None where the robot must be reset.
 
     Raises:
         TargetNeeded: if there are too few yet.
@@ -51,10 +54,9 @@ def ask_for_recording(worlds: Worlds, target: RecordedTarget, k: int, policy: Po
         write_play(place)
         play = f"the policy in {place / POLICY}; play.py beside it shows how, and needs onnxruntime, numpy and pillow"
     else:
-        write_plan(place / PLAN, worlds, policy, steps)
-        play = (
-            f"the actions in {place / PLAN}, a row for each control step; where the robot must be reset, go on after it"
-        )
+        write_plan(place / PLAN, worlds, policy, steps, horizon)
+        often = f"after every {horizon} of them" if horizon else "where it must be"
+        play = f"the actions in {place / PLAN}, a row for each control step; reset the robot {often}, and go on"
     low, high = worlds.actions.ends
     names = worlds.actions.names or [str(i) for i in range(len(low))]
     ranges = ", ".join(f"{n} {a:g} to {b:g}" for n, a, b in zip(names, low, high, strict=True))
@@ -71,13 +73,15 @@ def ask_for_recording(worlds: Worlds, target: RecordedTarget, k: int, policy: Po
     )
 
 
-def write_plan(path: Path, worlds: Worlds, policy: Policy, steps: int) -> None:
+def write_plan(path: Path, worlds: Worlds, policy: Policy, steps: int, horizon: int | None) -> None:
     """A table of actions that explore, in the target's units, unless there is one."""
     if path.exists():
         return
     blind = np.zeros((1, worlds.frame_stack, worlds.image_size, worlds.image_size, 3), np.uint8)
-    to_target = worlds.actions
-    actions = np.concatenate([to_target(policy(blind)) for _ in range(steps)])
-    names = to_target.names or [str(i) for i in range(actions.shape[1])]
+    to_target, actions = worlds.actions, []
+    for t in range(1, steps + 1):
+        actions.append(to_target(policy(blind))[0])
+        tick(policy, np.array([horizon is not None and t % horizon == 0]))
+    names = to_target.names or [str(i) for i in range(len(actions[0]))]
     rows = [",".join(names), *(",".join(f"{value:.6g}" for value in row) for row in actions)]
     write_atomically(path, lambda temporary: temporary.write_text("\n".join(rows) + "\n"))

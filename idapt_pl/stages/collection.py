@@ -54,7 +54,7 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int, 
     def make(seed: int) -> Trajectories:
         target = c.worlds.target
         if isinstance(target, RecordedTarget):
-            return recorded_elsewhere(c, target, k, make_policy(seed), steps)
+            return recorded_elsewhere(c, target, k, make_policy(seed), steps, horizon)
         before = kept.read()
         c.worlds.ledger.count(k, "training", kept.steps)
         if (left := steps - kept.steps) > 0:
@@ -79,7 +79,9 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int, 
     return path
 
 
-def recorded_elsewhere(c: StageContext, target: RecordedTarget, k: int, policy: Policy, steps: int) -> Trajectories:
+def recorded_elsewhere(
+    c: StageContext, target: RecordedTarget, k: int, policy: Policy, steps: int, horizon: int | None
+) -> Trajectories:
     """What was recorded of the target, before the run or by hand.
 
     Raises:
@@ -87,7 +89,7 @@ def recorded_elsewhere(c: StageContext, target: RecordedTarget, k: int, policy: 
     """
     if target.inbox is not None:
         command = f"idapt fit --config {c.stages.run_dir / 'config.yaml'}"
-        ask_for_recording(c.worlds, target, k, policy, steps, command)
+        ask_for_recording(c.worlds, target, k, policy, steps, command, horizon)
     return target.recording(k, c.worlds.look)
 
 

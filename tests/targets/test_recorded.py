@@ -9,10 +9,12 @@ import pytest
 from PIL import Image
 from test_targets import LAB, written
 
+from cli.fit import GroundingCLI
 from cli.main import main
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from datamodules.episode_folder import read_episode_folder
 from idapt_pl.deployment.play import PlayedPolicy
+from idapt_pl.stages.by_hand import write_plan
 from idapt_pl.targets import Look, make_target
 from idapt_pl.tasks import make_task
 
@@ -155,6 +157,26 @@ def test_what_was_recorded_can_be_looked_at_before_a_run(tmp_path, there):
     assert main(["check", "--config", str(written(tmp_path, **said)), "--out", str(out)]) == 0
     below = np.asarray(Image.open(out))[128:, :128, :3]  # the first picture, four times as large
     assert (below == 255).all() != there
+
+
+@pytest.mark.parametrize("horizon", [None, 3])
+def test_a_plan_is_what_a_policy_that_keeps_time_plays(tmp_path, horizon):
+    """As open-loop replays do: without their ticks they would play one action for ever."""
+
+    class Ramp:
+        step = 0
+
+        def __call__(self, pixels):
+            return np.array([[0.1 * self.step]], np.float32)
+
+        def tick(self, ended):
+            self.step = 0 if ended[0] else self.step + 1
+
+    run = GroundingCLI([f"--config={written(tmp_path, by_hand=str(tmp_path))}", f"--run_dir={tmp_path / 'run'}"]).run()
+    write_plan(tmp_path / "plan.csv", run.worlds, Ramp(), 7, horizon)
+    (name,), *rows = csv.reader((tmp_path / "plan.csv").open())
+    expected = 0.1 * (np.arange(7) % (horizon or 7))
+    assert name == "slide" and np.allclose(np.array(rows, float)[:, 0], expected)
 
 
 def lab_cart(tmp_path):
