@@ -70,6 +70,9 @@ def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Ti
     observations = {"qpos": _rows([j.position for j in mapping.joints.values()], recorded, rows)}
     if mapping.velocities:
         observations["qvel"] = _rows(mapping.velocities, recorded, rows)
+    if mapping.images is not None:
+        observations["pixels"] = recorded.column(mapping.images.column, "images.column")
+        _check_length(recorded, mapping.images.column, len(observations["pixels"]), rows)
     commands = [_command(channel, recorded, rows, mapping.actions_at) for channel in mapping.actuators.values()]
     return Episode(
         actions=np.column_stack([np.empty((rows - 1, 0)), *commands]).astype(np.float32),

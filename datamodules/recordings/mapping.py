@@ -15,11 +15,13 @@ from datamodules.recordings.units import TIME, Unit, actuator_unit, position_uni
 from datamodules.safe_yaml import read_yaml
 
 KEYS = (
-    *("time", "dt", "joints", "actuators", "infos", "episodes", "actions_at"),
+    *("time", "dt", "joints", "actuators", "images", "infos", "episodes", "actions_at"),
     *("skip_rows", "header", "delimiter", "clock"),
 )
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 100.0
 """Control period [s] beyond which a unit is wrong."""
+SMALLEST_IMAGE, LARGEST_IMAGE = 16, 1024
+"""Side of an image, pixels."""
 CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant")
 
 
@@ -78,6 +80,14 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class ImageColumn:
+    """Where images come from, and the side of the square that each becomes, pixels."""
+
+    column: str
+    size: int = 128
+
+
+@dataclass(frozen=True)
 class Mapping:
     """What a map says.
 
@@ -85,6 +95,7 @@ class Mapping:
         joints, actuators: by name, in the order of the map.
         time: column with the time of each row and its unit in s; None where ``dt`` is given.
         dt: period, s, of recordings without times.
+        images: those of the robot; None if they are not wanted.
         infos: name to column, kept as it is.
         episodes: column that tells episodes apart; None: one recording is one episode.
         actions_at: ``start``: a row's command is held from that row to the next; ``end``: until that row.
@@ -97,6 +108,7 @@ class Mapping:
     actuators: dict[str, Channel]
     time: tuple[str, float] | None = None
     dt: float | None = None
+    images: ImageColumn | None = None
     infos: dict[str, str] = field(default_factory=dict)
     episodes: str | None = None
     actions_at: str = "start"
@@ -176,6 +188,7 @@ def _mapping(content: Any, source: str) -> Mapping:
         actuators=actuators,
         time=time,
         dt=dt,
+        images=_images(top["images"]) if "images" in top else None,
         infos=infos,
         episodes=_column("episodes.column", episodes.get("column")) if "episodes" in top else None,
         actions_at=_one_of("actions_at", top.get("actions_at", "start"), ("start", "end")),
@@ -204,6 +217,14 @@ def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
     entry = _section("time", value, ("column", "unit"))
     unit = _text("time.unit", entry.get("unit", "s"))
     return (_column("time.column", entry.get("column")), TIME[_one_of("time.unit", unit, tuple(TIME))]), None
+
+
+def _images(value: Any) -> ImageColumn:
+    entry = _section("images", value if isinstance(value, dict) else {"column": value}, ("column", "size"))
+    size = _count("images.size", entry.get("size", ImageColumn.size))
+    if not SMALLEST_IMAGE <= size <= LARGEST_IMAGE:
+        raise RecordingError(f"images.size: expected {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels, got {size}")
+    return ImageColumn(_column("images.column", entry.get("column")), size)
 
 
 def _joint(key: str, value: Any) -> Joint:

@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.frames import named_files
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, is_number
 
 
 def read_csv(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read a table as one episode. Rows are named by their line in the file, columns by the header.
+
+    A column of images has the names of their files, from the table's folder on.
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
@@ -36,6 +39,9 @@ def read_csv(path: Path, mapping: Mapping) -> list[Recorded]:
                 f"{path}: line {number} has {len(cells)} cells, expected {len(names)} as line {first_line} has"
             )
     columns = {name: _column([cells[i] for _, cells in lines]) for i, name in enumerate(names)}
+    if mapping.images is not None and mapping.images.column in columns:
+        named = columns[mapping.images.column]
+        columns[mapping.images.column] = named_files(named, path.parent, mapping.images.size)
     return [Recorded(str(path), columns, "line", np.array([number for number, _ in lines]))]
 
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError, optional
-from datamodules.recordings.mapping import Mapping
+from datamodules.recordings.frames import decoded_image, fitted_frames
+from datamodules.recordings.lerobot_videos import add_videos
+from datamodules.recordings.mapping import ImageColumn, Mapping
 from datamodules.recordings.recorded import Recorded, flat_columns
 
 EPISODE = "episode_index"
@@ -19,7 +21,8 @@ EPISODE = "episode_index"
 def read_lerobot(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read every episode: columns ``timestamp``, ``action[0]``, ``observation.state[shoulder_pan.pos]``, ...
 
-    Elements go by number and, where ``info.json`` names them, by name. Images and videos are left out.
+    Elements go by number and, where ``info.json`` names them, by name. Of images and videos that which the map asks for
+    is read.
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
@@ -31,15 +34,17 @@ def read_lerobot(path: Path, mapping: Mapping) -> list[Recorded]:
     labels = _labels(path) if path.is_dir() else {}
     episodes: dict[int | None, list[dict[str, np.ndarray]]] = {}
     for file in files:
-        for index, columns in _episodes(file, parquet):
+        for index, columns in _episodes(file, parquet, mapping.images):
             episodes.setdefault(index, []).append(columns)
-    return [
-        Recorded(f"{path}: episode {index}" if index is not None else str(path), _joined(parts, labels))
-        for index, parts in sorted(episodes.items(), key=lambda item: item[0] or 0)
-    ]
+    joined = {index: _joined(parts, labels) for index, parts in sorted(episodes.items(), key=lambda e: e[0] or 0)}
+    if mapping.images is not None and path.is_dir():
+        add_videos(path, joined, mapping.images, parquet)
+    return [Recorded(f"{path}: episode {i}" if i is not None else str(path), columns) for i, columns in joined.items()]
 
 
-def _episodes(file: Path, parquet: ModuleType) -> list[tuple[int | None, dict[str, np.ndarray]]]:
+def _episodes(
+    file: Path, parquet: ModuleType, images: ImageColumn | None
+) -> list[tuple[int | None, dict[str, np.ndarray]]]:
     """Episode index, None where the file has none, and arrays (rows,) or (rows, n) of the episodes in a file."""
     pyarrow = optional("pyarrow", "pyarrow", file)
     try:
@@ -47,10 +52,20 @@ def _episodes(file: Path, parquet: ModuleType) -> list[tuple[int | None, dict[st
     except (OSError, pyarrow.ArrowException) as error:
         raise RecordingError(f"{file}: not a readable parquet file: {str(error).splitlines()[0]}") from None
     arrays = {name: a for name in table.column_names if (a := _array(table.column(name))) is not None}
+    if images is not None and images.column in table.column_names:
+        pictures = table.column(images.column).to_pylist()  # {"bytes": ..., "path": ...}
+        arrays[images.column] = fitted_frames((_picture(p, file) for p in pictures), images.size)
     if EPISODE not in arrays:
         return [(None, arrays)]
     index = arrays[EPISODE]
     return [(int(i), {name: a[index == i] for name, a in arrays.items()}) for i in np.unique(index)]
+
+
+def _picture(cell: Any, file: Path) -> np.ndarray:
+    data = cell.get("bytes") if isinstance(cell, dict) else cell
+    if not isinstance(data, bytes):
+        raise RecordingError(f"{file}: expected a picture's bytes, got {type(data).__name__}")
+    return decoded_image(data, str(file))
 
 
 def _array(column: Any) -> np.ndarray | None:
@@ -75,7 +90,8 @@ def _joined(parts: list[dict[str, np.ndarray]], labels: dict[str, list[str]]) ->
     for name in parts[0]:
         pieces = [part[name] for part in parts if name in part]
         if len({piece.shape[1:] for piece in pieces}) == 1:
-            columns |= flat_columns(name, np.concatenate(pieces), labels.get(name))
+            whole = np.concatenate(pieces)
+            columns |= {name: whole} if whole.ndim == 4 else flat_columns(name, whole, labels.get(name))
     return columns
 
 

@@ -6,6 +6,7 @@ time, as a held command has; rows before the first message of some topic that th
 
 from __future__ import annotations
 
+import base64
 import importlib
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -15,11 +16,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError, choices, listing, optional
-from datamodules.recordings.mapping import Mapping
+from datamodules.recordings.frames import decoded_image, fitted_frames, raw_image
+from datamodules.recordings.mapping import ImageColumn, Mapping
 from datamodules.recordings.recorded import Recorded, is_number
 
 LONGEST_LIST = 256
 """A longer list in a message is an image or a scan and is left out."""
+
+IMAGE = "(image)"
+"""Field of a flattened message that is its image."""
 
 DECODERS = {"mcap_ros2.decoder": "mcap-ros2-support", "mcap_protobuf.decoder": "mcap-protobuf-support"}
 
@@ -27,7 +32,8 @@ DECODERS = {"mcap_ros2.decoder": "mcap-ros2-support", "mcap_protobuf.decoder": "
 def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read a file as one episode: columns ``<topic>.<field>``, such as ``/joint_states.position[elbow]``.
 
-    Every topic also has ``<topic>.log_time`` and ``<topic>.publish_time`` in ns.
+    Every topic also has ``<topic>.log_time`` and ``<topic>.publish_time`` in ns. Images are a topic's: ROS's ``Image``
+    or ``CompressedImage``, or what else has a picture's bytes in ``data``.
 
     Raises:
         RecordingError: naming the file, the topic or column, what was expected and what came.
@@ -37,7 +43,7 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
 
     try:
         with path.open("rb") as f:
-            topics = _read_topics(path, f, list(mapping.columns()))
+            topics = _read_topics(path, f, list(mapping.columns()), mapping.images)
     except (McapError, EOFError) as error:
         raise RecordingError(f"{path}: not a readable MCAP file (truncated or of another kind): {error!r}") from None
     clock = mapping.clock or next(iter(topics))  # the first column's
@@ -46,7 +52,9 @@ def read_mcap(path: Path, mapping: Mapping) -> list[Recorded]:
     return [Recorded(str(path), _on_rows_of(clock, topics))]
 
 
-def _read_topics(path: Path, f: BinaryIO, wanted: list[str]) -> dict[str, list[dict[str, Any]]]:
+def _read_topics(
+    path: Path, f: BinaryIO, wanted: list[str], images: ImageColumn | None
+) -> dict[str, list[dict[str, Any]]]:
     """Flattened messages, in order of log time, of the topics that the wanted columns come from, in their order."""
     from mcap.reader import make_reader
 
@@ -63,9 +71,18 @@ def _read_topics(path: Path, f: BinaryIO, wanted: list[str]) -> dict[str, list[d
                 + listing(sorted(names))
             )
         topics[topic] = []
+    if images is not None:
+        if images.column not in names:
+            told = choices(images.column, names, "topics are")
+            raise RecordingError(f"{path}: images.column: no topic {images.column!r}; {told}")
+        topics.setdefault(images.column, [])
     for schema, channel, message in reader.iter_messages(topics=list(topics)):
         flat = {"log_time": message.log_time, "publish_time": message.publish_time}
-        flat |= _flatten(_decode(path, factories, schema, channel, message))
+        decoded = _decode(path, factories, schema, channel, message)
+        flat |= _flatten(decoded)
+        if images is not None and channel.topic == images.column:
+            where = f"{path}: topic {channel.topic} at log time {message.log_time} ns"
+            flat[IMAGE] = fitted_frames([_image(decoded, where)], images.size)[0]
         topics[channel.topic].append(flat)
     return topics
 
@@ -115,6 +132,20 @@ def _decode(path: Path, factories: list, schema: Any, channel: Any, message: Any
         f'installed; json needs none, ROS 2 (cdr) and protobuf do: pip install "idapt[import]" '
         f"({listing(DECODERS.values())})"
     )
+
+
+def _image(message: Any, where: str) -> np.ndarray:
+    """The image uint8 (h, w, 3) of a message."""
+    fields = _fields(message) or {}
+    data = fields.get("data")
+    try:
+        data = base64.b64decode(data) if isinstance(data, str) else bytes(data)  # JSON has no bytes
+    except (TypeError, ValueError):
+        raise RecordingError(f"{where}: expected an image's bytes in data; fields are: {listing(fields)}") from None
+    if {"height", "width", "step", "encoding"} <= fields.keys():
+        height, width, step = (int(fields[name]) for name in ("height", "width", "step"))
+        return raw_image(data, height, width, step, str(fields["encoding"]), where)
+    return decoded_image(data, where)
 
 
 # --- a message as flat fields ---------------------------------------------------------------------------
@@ -184,5 +215,6 @@ def _on_rows_of(clock: str, topics: dict[str, list[dict[str, Any]]]) -> dict[str
         names = dict.fromkeys(name for message in messages for name in message)
         for name in names:
             values = np.array([m.get(name, np.nan) for m in messages])
-            columns[f"{topic}.{name}"] = values[latest[topic][keep]] if len(values) else values
+            column = topic if name == IMAGE else f"{topic}.{name}"
+            columns[column] = values[latest[topic][keep]] if len(values) else values
     return columns

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError, optional
+from datamodules.recordings.frames import image_column
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, flat_columns
 
@@ -25,22 +26,22 @@ def read_minari(path: Path, mapping: Mapping) -> list[Recorded]:
         RecordingError: naming the file, what was expected and what came.
     """
     if not path.is_dir():
-        return _read_hdf5(path)
+        return _read_hdf5(path, mapping)
     data = path / "data" if (path / "data").is_dir() else path
     if (data / "main_data.hdf5").is_file():
-        return _read_hdf5(data / "main_data.hdf5")
+        return _read_hdf5(data / "main_data.hdf5", mapping)
     if not (data / "metadata.json").is_file():
         raise RecordingError(f"{path}: not a Minari dataset: expected data/main_data.hdf5 or data/metadata.json")
     return _read_with_minari(path, data)
 
 
-def _read_hdf5(path: Path) -> list[Recorded]:
+def _read_hdf5(path: Path, mapping: Mapping) -> list[Recorded]:
     try:
         with h5py.File(path, "r") as f:
             names = sorted((k for k in f if k.startswith("episode_")), key=_number)
             if not names:
                 raise RecordingError(f"{path}: expected groups episode_0, episode_1, ...; it has {', '.join(f) or '-'}")
-            return [Recorded(f"{path}: {name}", _columns(f[name])) for name in names]
+            return [Recorded(f"{path}: {name}", _columns(f[name], mapping)) for name in names]
     except OSError as error:
         raise RecordingError(f"{path}: not a readable HDF5 file (truncated or of another kind): {error}") from None
 
@@ -50,13 +51,15 @@ def _number(episode: str) -> tuple[int, str]:
     return (int(digits) if digits.isdigit() else 0, episode)
 
 
-def _columns(group: h5py.Group) -> dict[str, np.ndarray]:
+def _columns(group: h5py.Group, mapping: Mapping) -> dict[str, np.ndarray]:
     arrays: dict[str, h5py.Dataset] = {}
     group.visititems(lambda name, item: arrays.update({name: item}) if isinstance(item, h5py.Dataset) else None)
     columns: dict[str, np.ndarray] = {}
     for name, dataset in arrays.items():
         if 1 <= dataset.ndim <= 2 and dataset.dtype.kind in "fiub":
             columns |= flat_columns(name, dataset[()])
+        elif mapping.images is not None and name == mapping.images.column:
+            columns |= image_column(name, dataset[()], mapping)
     return columns
 
 

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.frames import image_column
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, flat_columns
 
 
 def read_npz(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read an archive as one episode: ``q`` of shape (rows, 2) has columns ``q[0]`` and ``q[1]``.
+
+    Images are uint8 (rows, H, W, 3).
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
@@ -22,7 +25,7 @@ def read_npz(path: Path, mapping: Mapping) -> list[Recorded]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
-                columns |= flat_columns(name, _array(archive, name))
+                columns |= image_column(name, array := _array(archive, name), mapping) or flat_columns(name, array)
     except (OSError, ValueError, zipfile.BadZipFile, AttributeError, TypeError, EOFError) as error:
         raise RecordingError(f"{path}: not a readable NPZ archive (truncated or of another kind): {error}") from None
     if not columns:

@@ -19,8 +19,9 @@ class Recorded:
 
     Attributes:
         source: file (and episode) for messages.
-        columns: name to array of shape (rows,), numbers or text, in the recording's units. Formats that keep
-            actions apart from observations have columns that are one row shorter.
+        columns: name to array of shape (rows,), numbers or text, in the recording's units; images, if the map asks for
+            them, are uint8 (rows, S, S, 3). Formats that keep actions apart from observations have columns that are
+            one row shorter.
         row_word, row_numbers: how a person finds row k: ``f"{row_word} {row_numbers[k]}"``; None counts from 0.
     """
 
