@@ -137,15 +137,13 @@ def _decode(path: Path, factories: list, schema: Any, channel: Any, message: Any
 def _image(message: Any, where: str) -> np.ndarray:
     """The image uint8 (h, w, 3) of a message."""
     fields = _fields(message) or {}
-    given: Any = fields.get("data", ())
+    data: Any = fields.get("data")
     try:
-        data = base64.b64decode(given) if isinstance(given, str) else bytes(memoryview(given).cast("B"))
+        data = base64.b64decode(data) if isinstance(data, str) else bytes(data) if hasattr(data, "__len__") else b""
     except (TypeError, ValueError):
-        try:
-            data = bytes(list(given))  # JSON has no bytes, but lists
-        except (TypeError, ValueError):
-            told = listing(fields)
-            raise RecordingError(f"{where}: expected an image's bytes in data; fields are: {told}") from None
+        data = b""
+    if not data:
+        raise RecordingError(f"{where}: expected an image's bytes in data; fields are: {listing(fields)}")
     if {"height", "width", "step", "encoding"} <= fields.keys():
         height, width, step = (int(fields[name]) for name in ("height", "width", "step"))
         return raw_image(data, height, width, step, str(fields["encoding"]), where)
