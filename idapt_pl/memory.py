@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
+
+import psutil
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Names and numbers of glibc's malloc.h."""
 KEPT = 2**30
 """Bytes: smaller blocks come from the heap, and this much of its free end stays with the process."""
+MUCH = 2 * 2**30
+"""Bytes that a process may have before it is tidied between stages."""
 
 
 def keep_freed_memory() -> bool:
@@ -23,3 +28,17 @@ def keep_freed_memory() -> bool:
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # other C libraries have none
     return mallopt is not None and all(mallopt(option, KEPT) for option in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD))
+
+
+def tidy_memory() -> None:
+    """Between stages: what is no longer used goes back to the system, if the process has much.
+
+    A Trainer, its data and its module refer to one another, so they wait for Python's collector. Eight grounding steps
+    of Walker2d had grown to 8 GB without it.
+    """
+    if psutil.Process().memory_info().rss < MUCH:
+        return
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform.startswith("linux") else None
+    if trim is not None:
+        trim(0)

@@ -23,6 +23,7 @@ from idapt_pl.checkpoints import checkpoint_bytes, load_weights
 from idapt_pl.cores import FreeCores
 from idapt_pl.files import blaming, read_json, sha256, verify, write_bytes, write_json
 from idapt_pl.health import Health, check_weights
+from idapt_pl.memory import tidy_memory
 from idapt_pl.run_folder.results import read_result
 from idapt_pl.run_folder.time_left import TimeLeft, in_words
 
@@ -120,6 +121,7 @@ class Stages:
             log.info("step %d  %-16s done before, loaded from %s", step, name, final)
             self._left(step, name, None)
             return load_finished(module, final)
+        tidy_memory()
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
         started, notes = time.perf_counter(), {}
         health = Health(f"step {step}, stage {name}")
@@ -152,6 +154,7 @@ class Stages:
         path = self.folder(step) / f"{name}.h5"
         if not path.exists():
             started = time.perf_counter()
+            tidy_memory()
             self.cores.look()
             seed = stage_seed(self.seed, step, name)
             L.seed_everything(seed, verbose=False)  # stochastic policies draw from torch's generator
@@ -175,6 +178,7 @@ class Stages:
         path = self.folder(step) / f"{name}.json"
         if not path.exists():
             started = time.perf_counter()
+            tidy_memory()
             self.cores.look()
             seed = stage_seed(self.seed, step, name)
             L.seed_everything(seed, verbose=False)
