@@ -71,18 +71,9 @@ class KnownStartForecasts:
         made = replace(self.smooth, domain=domain)([r.first(self.steps) for r in self.recordings], self.seed)
         return centred_errors([s.surprise[1:, self.shown] / self.scale for s in made])
 
-    def lighter(self, recordings: int, members: int) -> KnownStartForecasts:
-        """Of fewer recordings, by fewer simulations."""
-        smooth = replace(self.smooth, members=min(members, self.smooth.members))
-        return replace(self, smooth=smooth, recordings=self.recordings[:recordings])
-
-    def following(self, steps: int, reading_error: float) -> KnownStartForecasts:
-        """Over more steps, readings taken to be so many times as wrong as on translated images.
-
-        So they correct simulations, and each forecast is of the next one alone.
-        """
-        smooth = self.smooth.supposing(reading_error / READING_ERROR)
-        return replace(self, smooth=smooth, steps=steps)
+    def first(self, recordings: int) -> KnownStartForecasts:
+        """Of so many recordings."""
+        return replace(self, recordings=self.recordings[:recordings])
 
 
 def refined_effects(
@@ -122,24 +113,37 @@ def refined_effects(
 
 
 def known_start_forecasts(
-    c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int
-) -> tuple[KnownStartForecasts, KnownStartForecasts]:
-    """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing."""
+    c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int,
+    most: int = RECORDINGS, steps: int = STEPS, members: int = MEMBERS,
+) -> tuple[KnownStartForecasts, KnownStartForecasts]:  # fmt: skip
+    """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing.
+
+    Args:
+        c: of the run.
+        target: trajectory files, of which images and actions are used.
+        control: trajectory file of the source, images and states, that nothing was fitted to.
+        G: shows source images as target images.
+        pi: its encoder reads target images.
+        seed: of the ensembles.
+        most: recordings of each.
+        steps: of each recording, from its start.
+        members: simulations that follow each.
+    """
     worlds, sensor = c.worlds, pi.estimator(G)
     source, seen = read_all([control], also="state"), read_all(target)
-    known = replace(source, episodes=tuple(G.translate_episode(e) for e in source.episodes[:RECORDINGS]))
+    known = replace(source, episodes=tuple(G.translate_episode(e) for e in source.episodes[:most]))
     states = np.concatenate([e.observations["state"] for e in known])
     read = recordings_of(known, sensor, worlds.frame_stack)
     readings = np.concatenate([r.readings for r in read])
     expected = reading_model(worlds.task, worlds.source_domain, readings, states).times(READING_ERROR)
-    first = recordings_of(replace(seen, episodes=seen.episodes[:RECORDINGS]), sensor, worlds.frame_stack)
+    first = recordings_of(replace(seen, episodes=seen.episodes[:most]), sensor, worlds.frame_stack)
     smooth = RecordingSmoother(
-        worlds.task, worlds.source_domain, expected, MEMBERS, 0, torch.get_num_threads(), known_starts(worlds)
+        worlds.task, worlds.source_domain, expected, members, 0, torch.get_num_threads(), known_starts(worlds)
     )
     shown = position_components(worlds.task, states[0].astype(float))
     scale = states.std(0)[shown] + 1e-9
     of_target, of_control = (
-        KnownStartForecasts(smooth, recordings, STEPS, shown, scale, seed) for recordings in (first, read)
+        KnownStartForecasts(smooth, recordings, steps, shown, scale, seed) for recordings in (first, read)
     )
     return of_target, of_control
 
