@@ -22,15 +22,14 @@ def write_out_masses(spec: mujoco.MjSpec) -> None:
     """
     compiler = spec.compiler
     changing = [name for name, off in OFF.items() if getattr(compiler, name) > off]
-    if not changing and compiler.inertiafromgeom != FROM_GEOMS:
-        return
-    model = compiled_bodies(spec)
-    for i, body in enumerate(spec.bodies):
-        if i == 0 or model.body_mass[i] == 0:
-            continue
-        body.explicitinertial, body.mass = True, float(model.body_mass[i])
-        body.ipos, body.iquat, body.inertia = model.body_ipos[i], model.body_iquat[i], model.body_inertia[i]
-        body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given
+    overruled = compiler.inertiafromgeom == FROM_GEOMS and any(body.explicitinertial for body in spec.bodies)
+    if changing or overruled:
+        model = compiled_bodies(spec)
+        for i, body in enumerate(spec.bodies):
+            if i > 0 and model.body_mass[i] > 0:
+                body.explicitinertial, body.mass = True, float(model.body_mass[i])
+                body.ipos, body.iquat, body.inertia = model.body_ipos[i], model.body_iquat[i], model.body_inertia[i]
+                body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given
     for name in changing:
         setattr(compiler, name, OFF[name])
     if compiler.inertiafromgeom == FROM_GEOMS:
