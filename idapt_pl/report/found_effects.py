@@ -48,19 +48,22 @@ def known_start_section(searched: dict) -> str:
     """With what forecasts from known starts are best (``known_start_search.json``); empty if nothing was sought."""
     if not searched:
         return ""
-    said = (
-        "As nothing was believed, every candidate was tried in forecasts of the target's first frames, from where "
-        "episodes begin. "
-    )
-    if searched["best"] is None:
+    said = "Every candidate was tried in forecasts of the target's first frames, from where episodes begin. "
+    if not searched["parameters"]:
         return paragraph(said + "None makes them better.")
-    (found,), error, gain = searched["parameters"], searched["error"], searched["gain"]
-    numbers = found["after"], error["before"], error["after"], gain["mean"], gain["standard_error"]
-    value, before, after, mean, spread = map(format_number, numbers)
-    verdict = "It was added" if searched["effects"] else "That is not enough, and nothing was added"
+    error, gain = searched["error"], searched["gain"]
+    numbers = error["before"], error["after"], gain["mean"], gain["standard_error"]
+    before, after, mean, spread = map(format_number, numbers)
+    named = " and ".join(
+        f"{phrase_at(p['effect'], p['target'])}, {p['parameter']} {format_number(p['after'])}"
+        for p in searched["parameters"]
+    )
+    verdict = "That is not enough, and nothing was added"
+    if searched["effects"]:
+        verdict = "This is what had been found before" if searched["suggested"] else "So this was added"
     said += (
-        f"They are best with {phrase_at(found['effect'], found['target'])}, {found['parameter']} {value}: their error "
-        f"falls from {before} to {after} (by {mean} ± {spread}, one standard error). {verdict}."
+        f"They are best with {named}: their error falls from {before} to {after} (by {mean} ± {spread}, one standard "
+        f"error). {verdict}."
     )
     tried = [(t["candidate"], *(f"#{format_number(t[key])}" for key in ("value", "error"))) for t in searched["tried"]]
     heads = ("candidate", "#best of the values tried", "#error")

@@ -9,10 +9,6 @@ EARLY = 0.1
 """Share of a run after which what it has cost counts as much as what was expected of it."""
 
 
-INSTEAD_OF = {"known_start_search": "refined_effects"}
-"""Stages in whose place others may be."""
-
-
 class TimeLeft:
     """Counts down the stages of a run.
 
@@ -27,7 +23,7 @@ class TimeLeft:
 
     def done(self, step: int, name: str, seconds: float | None) -> float:
         """Seconds left after a stage that took so many; None if it was done before."""
-        cost = self._left.pop((step, INSTEAD_OF.get(name, name)), 0.0)
+        cost = self._left.pop((step, name), 0.0)
         if seconds is not None and cost:
             self._taken += seconds
             self._expected += cost
@@ -87,6 +83,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "estimator": 0.002 * config.feeding.state_predictor_batch * lengths.estimator * area,
         "control": 0.005 * s.images * looks,
         "effects": 250.0 * looks,
+        "known_start_search": 300.0 * (looks and config.effects.refine),
         "refined_effects": 120.0 * (looks and config.effects.refine),
         "dynamics": 0.004 * config.feeding.garat_rollout * lengths.dynamics * (k > 0 and s.action_transformation),
         "teacher": 0.008 * t.adapt * (looks or (k > 0 and s.action_transformation)),

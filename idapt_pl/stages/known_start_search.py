@@ -1,4 +1,4 @@
-"""Which effect a source lacks, by forecasts from known starts; for where nothing could be told from windows."""
+"""Which effect a source lacks, by forecasts from known starts: a second opinion on what another search found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.effects import Effect
+from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.image_diagnosis.calibration import read_calibrated
@@ -46,19 +46,21 @@ TOLD = 8
 
 @dataclass(frozen=True)
 class KnownStartSearch:
-    """What a search found: one effect, or nothing.
+    """What a search found.
 
     Attributes:
-        best: the effect that forecasts best, and its parameter; None where none does better than none.
-        accepted: whether it is clearly better.
-        before: error of forecasts without it.
-        after: with it.
+        best: the effects with which forecasts are best, and their parameters; empty where none does better than none.
+        accepted: whether they are to be added.
+        suggested: whether they are those that another search had found.
+        before: error of forecasts without them.
+        after: with them.
         gain: mean gain of recordings, its standard error, and the control's gain as a share of its error.
         tried: candidates, values and errors of the first round, the best first.
     """
 
-    best: tuple[Effect, Refined] | None
+    best: tuple[list[Effect], list[Refined]]
     accepted: bool
+    suggested: bool
     before: float
     after: float
     gain: tuple[float, float, float]
@@ -66,13 +68,13 @@ class KnownStartSearch:
 
     def to_dict(self) -> dict[str, Any]:
         """As ``known_start_search.json`` has it."""
-        effect, how = self.best or (None, None)
-        kept = [effect.to_dict()] if self.accepted and effect is not None else []
+        effects, how = [e.to_dict() for e in self.best[0]], [dataclasses.asdict(r) for r in self.best[1]]
         gain = dict(zip(("mean", "standard_error", "share_in_control"), map(six_digits, self.gain), strict=True))
         return {
-            "effects": kept,
-            "best": effect.to_dict() if effect is not None else None,
-            "parameters": [dataclasses.asdict(how)] if how is not None else [],
+            "effects": effects if self.accepted else [],
+            "best": effects,
+            "parameters": how,
+            "suggested": self.suggested,
             "error": {"before": self.before, "after": self.after},
             "gain": gain,
             "tried": [{"candidate": c, "value": six_digits(x), "error": six_digits(e)} for c, x, e in self.tried],
@@ -81,9 +83,9 @@ class KnownStartSearch:
 
 def effects_from_known_starts(
     c: StageContext, step: int, settings: DiscoverySettings, sensor: ImageSensor, target: Sequence[Path],
-    control: Path, G: VisualTransformation, pi: AsymmetricSAC,
+    control: Path, G: VisualTransformation, pi: AsymmetricSAC, found: Sequence[dict] = (),
 ) -> list[dict]:  # fmt: skip
-    """The effect found, as it is written, or none; ``known_start_search.json`` says how.
+    """The effects to add, as they are written; ``known_start_search.json`` says why these.
 
     Args:
         c: of the run.
@@ -94,6 +96,7 @@ def effects_from_known_starts(
         control: trajectory file of the source, images and states, that nothing was fitted to.
         G: shows source images as target images.
         pi: its encoder reads target images.
+        found: effects that another search found.
     """
 
     def make(seed: int) -> dict:
@@ -101,46 +104,65 @@ def effects_from_known_starts(
         candidates = forecast_candidates(source, read_calibrated(sensor, source, target, [control], G), settings)
         size = RECORDINGS_JUDGED, STEPS_JUDGED, MEMBERS_JUDGED
         forecasts = known_start_forecasts(c, target, control, G, pi, seed, *size)
-        return search_from_known_starts(candidates, *forecasts).to_dict()
+        return search_from_known_starts(candidates, *forecasts, [effect_from_dict(e) for e in found]).to_dict()
 
     return c.stages.measure(step, "known_start_search", make)["effects"]
 
 
 def search_from_known_starts(
-    candidates: Sequence[Candidate], of_target: KnownStartForecasts, of_control: KnownStartForecasts
-) -> KnownStartSearch:
-    """The effect with which the target's first frames are forecast best, if they are clearly better with it.
+    candidates: Sequence[Candidate], of_target: KnownStartForecasts, of_control: KnownStartForecasts,
+    suggested: Sequence[Effect] = (),
+) -> KnownStartSearch:  # fmt: skip
+    """The effect with which the target's first frames are forecast best, or those that are suggested.
 
     It must be worth what an effect judged by forecasts must (:mod:`~idapt_pl.image_diagnosis.forecast_search`), and
     more than twice as large a share as in the control, where the source lacks nothing: what helps there too makes up
-    for the sensor.
+    for the sensor. What is suggested is put aside for what forecasts surely better, and else added.
 
     Args:
         candidates: effects of one parameter.
         of_target: forecasts of the target.
         of_control: of the source itself, seen through G.
+        suggested: what another search found.
     """
     tried = screened(candidates, of_target.first(RECORDINGS_TRIED))
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
     without = of_target([])
     before = float(without.mean())
-    refined = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
-    if not refined:
-        return KnownStartSearch(None, False, before, before, (0.0, 0.0, 0.0), told)
-    errors = [of_target(effects) for effects, _ in refined]
-    k = int(np.argmin([e.mean() for e in errors]))
-    (effect,), (how, *_) = refined[k]
-    gain, spread = paired_gain(without, errors[k], np.arange(len(without)))
-    in_control = of_control([])
-    share_in_control = 1 - float(of_control([effect]).mean() / in_control.mean())
-    clear = gain >= max(STANDARD_ERRORS * spread, GAIN_SHARE * before) and gain > 2 * share_in_control * before
+    rivals = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
+    scored = [(of_target(rival[0]), rival) for rival in rivals]
+    errors, best = min(scored, key=lambda s: s[0].mean(), default=(without, ([], [])))
+    gain, clear = worth(best[0], without, errors, of_control)
+    if suggested:
+        own = refine_parameters(suggested, of_target)
+        its_errors = of_target(own[0])
+        better, spread = paired_gain(its_errors, errors, np.arange(len(without)))
+        log.info("%s forecasts %.3g ± %.2g better than what was found", labels_of(best[0]), better, spread)
+        if not clear or better < STANDARD_ERRORS * spread:
+            gain, _ = worth(own[0], without, its_errors, of_control)
+            return KnownStartSearch(own, True, True, before, float(its_errors.mean()), gain, told)
+    return KnownStartSearch(best, clear, False, before, float(errors.mean()), gain, told)
+
+
+def worth(
+    effects: Sequence[Effect], without: np.ndarray, errors: np.ndarray, of_control: KnownStartForecasts
+) -> tuple[tuple[float, float, float], bool]:
+    """What effects gain, its standard error, the control's gain as a share of its error; whether that is enough."""
+    if not effects:
+        return (0.0, 0.0, 0.0), False
+    gain, spread = paired_gain(without, errors, np.arange(len(without)))
+    in_control = 1 - float(of_control(effects).mean() / of_control([]).mean())
+    least = max(STANDARD_ERRORS * spread, GAIN_SHARE * without.mean(), 2 * in_control * without.mean())
     log.info(
-        "from known starts %s forecasts %.3g ± %.2g better than %.3g, the control by %.2g of it: %s",
-        effect.to_dict(), gain, spread, before, share_in_control, "added" if clear else "not enough",
+        "from known starts %s forecasts %.3g ± %.2g better than %.3g, the control by %.2g of it",
+        labels_of(effects), gain, spread, without.mean(), in_control,
     )  # fmt: skip
-    return KnownStartSearch(
-        (effect, how), bool(clear), before, float(errors[k].mean()), (gain, spread, share_in_control), told
-    )
+    return (gain, spread, in_control), bool(gain > least)
+
+
+def labels_of(effects: Sequence[Effect]) -> str:
+    """Effects in a line of the log."""
+    return ", ".join(str(e.to_dict()) for e in effects) or "nothing"
 
 
 def screened(candidates: Sequence[Candidate], errors: Errors) -> list[tuple[Candidate, float, float]]:

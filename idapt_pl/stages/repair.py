@@ -61,10 +61,9 @@ class SourceRepair:
             return found.to_dict()
 
         found = self.context.stages.measure(k, "effects", make)["effects"]
-        if self.settings.refine and found:
+        if self.settings.refine:
+            found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
             found = refined_effects(self.context, k, found, target, control, G, pi)
-        elif self.settings.refine:
-            found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi)
         self._add(k, found)
         return bool(found)
 

@@ -225,7 +225,7 @@ def test_refined_parameters_are_told_taken_or_not(copied):
 def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     effect = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 195.0}}
     how = {"effect": "body_mass", "target": "pole", "parameter": "mass", "before": 150.0, "after": 195.0}
-    searched = {"effects": [], "best": effect, "parameters": [how | {"log_halfwidth": 0.2}],
+    searched = {"effects": [], "best": [effect], "suggested": False, "parameters": [how | {"log_halfwidth": 0.2}],
                 "error": {"before": 0.35, "after": 0.33}, "gain": {"mean": 0.02, "standard_error": 0.015},
                 "tried": [{"candidate": "body_mass(pole)", "value": 150.0, "error": 0.34}]}  # fmt: skip
     path = copied / "step_02/known_start_search.json"
@@ -237,8 +237,10 @@ def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     )
     assert "That is not enough, and nothing was added." in text and "body_mass(pole) 150 0.34" in text
     path.write_text(json.dumps(searched | {"effects": [effect]}))
-    assert "It was added." in report(copied).text
-    path.write_text(json.dumps(searched | {"best": None, "parameters": [], "tried": []}))
+    assert "So this was added." in report(copied).text
+    path.write_text(json.dumps(searched | {"effects": [effect], "suggested": True}))
+    assert "This is what had been found before." in report(copied).text
+    path.write_text(json.dumps(searched | {"best": [], "parameters": [], "tried": []}))
     assert "None makes them better." in report(copied).text
 
 

@@ -74,6 +74,15 @@ def test_what_is_missing_is_found_from_known_starts_and_nothing_where_nothing_is
     for of_target in (nothing, forecasts(seed=6)):
         none = search_from_known_starts(CANDIDATES, of_target, nothing).to_dict()
         assert none["effects"] == []
+    # a second opinion: what another search found is put aside for what is surely better, and else kept
+    wrong, right = JointDamping("bshin", 12.0), BodyMass("torso", 10.0)
+    instead = search_from_known_starts(CANDIDATES, errors, nothing, [wrong]).to_dict()
+    assert [(e["effect"], e["target"]) for e in instead["effects"]] == [("body_mass", "torso")]
+    assert not instead["suggested"] and instead["best"] == found["best"]
+    kept = search_from_known_starts(CANDIDATES[1:], errors, nothing, [right]).to_dict()
+    assert kept["suggested"] and kept["effects"][0]["target"] == "torso"
+    kept = search_from_known_starts(CANDIDATES, nothing, nothing, [wrong]).to_dict()
+    assert kept["suggested"] and kept["effects"][0]["effect"] == "joint_damping"
     # what helps in the control too makes up for the sensor
     assert search_from_known_starts(CANDIDATES, errors, errors).to_dict()["effects"] == []
 
