@@ -132,19 +132,19 @@ def search_from_known_starts(
     rivals = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
     scored = [(of_target(rival[0]), rival) for rival in rivals]
     errors, best = min(scored, key=lambda s: s[0].mean(), default=(without, ([], [])))
-    gain, clear = worth(best[0], without, errors, of_control)
+    gain, clear = gain_of(best[0], without, errors, of_control)
     if suggested:
         own = refine_parameters(suggested, of_target)
         its_errors = of_target(own[0])
         better, spread = paired_gain(its_errors, errors, np.arange(len(without)))
         log.info("%s forecasts %.3g ± %.2g better than what was found", labels_of(best[0]), better, spread)
         if not clear or better < STANDARD_ERRORS * spread:
-            gain, _ = worth(own[0], without, its_errors, of_control)
+            gain, _ = gain_of(own[0], without, its_errors, of_control)
             return KnownStartSearch(own, True, True, before, float(its_errors.mean()), gain, told)
     return KnownStartSearch(best, clear, False, before, float(errors.mean()), gain, told)
 
 
-def worth(
+def gain_of(
     effects: Sequence[Effect], without: np.ndarray, errors: np.ndarray, of_control: KnownStartForecasts
 ) -> tuple[tuple[float, float, float], bool]:
     """What effects gain, its standard error, the control's gain as a share of its error; whether that is enough."""
