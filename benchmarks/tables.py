@@ -127,15 +127,8 @@ def summary(results: Path = RESULTS) -> str:
         measured = [*by_stage(mine), [float(row["mean"]) for row in oracles]]
         seeds, most = len({row["seed"] for row in mine}), max(int(row["target_interactions"] or 0) for row in mine)
         told = [mean_and_interval(m, metric) for m in measured]
-        lines.append(
-            (
-                ", ".join((f"`{table}`", *wanted["run"].split(", ")[1:], metric)),
-                str(seeds),
-                f"{most:,}",
-                *told,
-                str(PAPER[task]),
-            )
-        )
+        name = ", ".join((f"`{table}`", *wanted["run"].split(", ")[1:], metric))
+        lines.append((name, str(seeds), f"{most:,}", *told, str(PAPER[task])))
     head = ("config, metric", "seeds", "target steps", "direct transfer", "step 0", "last step", "oracle", "paper")
     return markdown(head, lines)
 

@@ -45,7 +45,8 @@ def main(args: list[str]) -> int:
     if not run.worlds.target.measured:
         name = run.worlds.target.name
         raise ValueError(
-            f"the target {name} is not measured: its rewards are read with target: {{measure: true}} alone"
+            f"the target {name} is not measured: give target: {{measure: true}} to have its rewards read, or "
+            "{measure: ask} to be asked"
         )
     if o.physics:
         check_physics(run, o.physics)

@@ -55,7 +55,7 @@ class Robot:
 
 def serve_robot(
     robot: Robot, port: int = 5555, host: str = "127.0.0.1", ready: Callable[[int], None] | None = None
-) -> None:  # pragma: no cover - ends with the process
+) -> None:
     """Serve a robot, one run at a time, until Ctrl-C.
 
     Args:

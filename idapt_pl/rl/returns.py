@@ -89,12 +89,7 @@ def evaluate(
 
 
 def play_together(
-    env: VectorEnv,
-    act: Policy,
-    playing: np.ndarray,
-    seed: int,
-    watch: Watch | None,
-    keep: Callable[[EpisodeOutcome], None],
+    env: VectorEnv, act: Policy, playing: np.ndarray, seed: int, watch: Watch | None, keep: Keep
 ) -> list[EpisodeOutcome]:
     """One episode of each simulation that is ``playing``, bool (n,)."""
     chosen = np.flatnonzero(playing)
