@@ -46,6 +46,10 @@ class FrameStacks(Dataset):
         index = np.asarray(index)
         return self.frames[np.maximum(index[:, None] + self._lags, self.first[index][:, None])]
 
+    def episodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index of each episode's first observation, and how many it has: int (E,), int (E,)."""
+        return np.unique(self.first, return_counts=True)
+
     def __getitems__(self, index: list[int] | np.ndarray) -> dict[str, torch.Tensor]:
         """A batch at once: ``pixels`` and, where asked for, ``state``."""
         batch = {"pixels": torch.from_numpy(self.stacks(np.asarray(index)))}
@@ -62,6 +66,31 @@ class FirstObservations(Dataset):
 
     def __init__(self, stacks: FrameStacks) -> None:
         self.of, self.index = stacks, np.unique(stacks.first)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitems__(self, index: list[int]) -> dict[str, torch.Tensor]:
+        """As for the frame stacks."""
+        return self.of.__getitems__(self.index[np.asarray(index)])
+
+
+class PlayedAgain(Dataset):
+    """Observations of recordings, or of the same actions played again elsewhere, of equal numbers of steps.
+
+    Item i of the one and item i of the other belong together: so many control steps after the start of an episode.
+
+    Args:
+        these: frame stacks that are given.
+        others: of the same number of episodes. Steps that only one of the two has are left out.
+    """
+
+    def __init__(self, these: FrameStacks, others: FrameStacks) -> None:
+        (starts, lengths), (_, of_others) = these.episodes(), others.episodes()
+        assert len(lengths) == len(of_others)
+        common = np.minimum(lengths, of_others)
+        steps = np.arange(common.sum()) - np.repeat(np.cumsum(common) - common, common)
+        self.of, self.index = these, np.repeat(starts, common) + steps
 
     def __len__(self) -> int:
         return len(self.index)

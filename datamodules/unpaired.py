@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import reduce
 from operator import add
 from pathlib import Path
@@ -12,7 +12,7 @@ import torch
 from lightning.pytorch.utilities import CombinedLoader
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
-from datamodules.stacks import FirstObservations, FrameStacks, whole_batch
+from datamodules.stacks import FirstObservations, FrameStacks, PlayedAgain, whole_batch
 from datamodules.trajectories import Trajectories, TrajectoryFileError, read_trajectories
 
 
@@ -76,7 +76,8 @@ class UnpairedImages(L.LightningDataModule):
     """Frame stacks of source (with states) and target (without), each drawn on its own.
 
     Batches: ``{"source": {"pixels", "state"}, "target": {"pixels"}}``, and with ``resets`` as many first
-    observations of episodes under ``"source_resets"`` and ``"target_resets"``, drawn on their own too.
+    observations of episodes under ``"source_resets"`` and ``"target_resets"``, drawn on their own too. With
+    ``replayed`` these are the observations of its episodes and of the target's after the same actions, drawn together.
 
     Args:
         source: trajectory files with states.
@@ -86,6 +87,8 @@ class UnpairedImages(L.LightningDataModule):
         batches: length of an epoch.
         seed: of the order.
         resets: first observations of each domain in a batch, 0 for none.
+        replayed: trajectory file of the source that has, for every episode of the target's files, what its first
+            actions do there; or None.
     """
 
     def __init__(
@@ -97,9 +100,10 @@ class UnpairedImages(L.LightningDataModule):
         batches: int,
         seed: int,
         resets: int = 0,
+        replayed: Path | str | None = None,
     ) -> None:
         super().__init__()
-        self.resets = resets
+        self.resets, self.replayed = resets, replayed
         self.source, self.target, self.seed = [str(p) for p in source], [str(p) for p in target], seed
         self.frame_stack, self.batch_size, self.batches = frame_stack, batch_size, batches
 
@@ -119,7 +123,16 @@ class UnpairedImages(L.LightningDataModule):
             "target": random_batches(self.target_data, self.batch_size, self.batches, self.seed + 1),
         }
         if self.resets:
-            for i, (name, data) in enumerate({"source": self.source_data, "target": self.target_data}.items()):
-                resets = FirstObservations(data)
-                loaders[f"{name}_resets"] = random_batches(resets, self.resets, self.batches, self.seed + 2 + i)
+            for name, data, seed in self.known_alike():
+                loaders[f"{name}_resets"] = random_batches(data, self.resets, self.batches, seed)
         return CombinedLoader(loaders, "min_size")
+
+    def known_alike(self) -> Iterator[tuple[str, Dataset, int]]:
+        """Domain, its observations that look alike in both, and the seed of their order: one if they are pairs."""
+        if self.replayed is None:
+            yield "source", FirstObservations(self.source_data), self.seed + 2
+            yield "target", FirstObservations(self.target_data), self.seed + 3
+            return
+        replayed = FrameStacks(read_all([self.replayed]), self.frame_stack)
+        yield "source", PlayedAgain(replayed, self.target_data), self.seed + 2
+        yield "target", PlayedAgain(self.target_data, replayed), self.seed + 2

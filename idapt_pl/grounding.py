@@ -111,7 +111,7 @@ class IterativeGrounding:
         D_S = (self.explore_source(),)
         P_S = fit_P_S(c, 0, D_S, lengths.state_predictor)
         source_policy = self.source_policy(P_S, D_S)
-        G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S)
+        G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
         labelled = labelled_images(c, 0, D_S, D_T, G, None, pi)
@@ -123,7 +123,8 @@ class IterativeGrounding:
         c, lengths = self.context, self.schedule.finetune
         D_S = (*g.D_S, self.act_in_source(k, g, D_T[-1]))
         P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
-        G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G)
+        replayed = self.play_again(k, self.recent(D_T), g)
+        G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G, replayed)
         pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi)
         repaired = self.repair.physical_effects(k, D_T, G, pi)
         F_before = None if repaired else g.F  # else it was F of another source
@@ -186,8 +187,15 @@ class IterativeGrounding:
     def act_in_source(self, k: int, g: Grounding, recording: Path) -> Path:
         """D^S of grounding step k: the policy in the grounded source, or what it did in the target played again."""
         if self.schedule.source_actions == "target":
-            return replay_in_source(self.context, k, recording, g.G, g.F)
+            return replay_in_source(self.context, k, [recording], g.G, g.F)
         return record_source(self.context, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F)
+
+    def play_again(self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None) -> Path | None:
+        """What the first actions of the target's episodes do in the source as it is: nearly the same, for a while."""
+        if not (steps := self.schedule.paired_steps):
+            return None
+        G, F = (None, None) if g is None else (g.G, g.F)
+        return replay_in_source(self.context, k, D_T, G, F, "replayed", steps)
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""

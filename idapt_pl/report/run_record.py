@@ -19,6 +19,7 @@ ORDER = (
     "target",
     "looks",
     "source",
+    "replayed",
     "state_predictor",
     "source_teacher",
     "source_student",

@@ -35,8 +35,9 @@ def collect(
 
 
 def replay(
-    env: ImageEnv, recordings: Sequence[Episode], seed: int, source: str, pixels: str = "pixels"
-) -> Trajectories:
+    env: ImageEnv, recordings: Sequence[Episode], seed: int, source: str, pixels: str = "pixels",
+    horizon: int | None = None,
+) -> Trajectories:  # fmt: skip
     """The actions of recorded episodes again, each from a start of its own and until it or its recording ends.
 
     Args:
@@ -45,13 +46,14 @@ def replay(
         seed: of the environment's resets.
         source: free text for the file.
         pixels: which images to record, as in :func:`collect`.
+        horizon: control steps of each episode that are played; None for all.
     """
     episodes = []
     obs, _ = env.reset(seed=seed)
     for recording in recordings:
         builder = _EpisodeBuilder(obs, 0, pixels)
         ended = False
-        for action in recording.actions:
+        for action in recording.actions[:horizon]:
             obs, rewards, terminations, truncations, infos = env.step(action[None])
             builder.add(action, infos.get("final_obs", obs), 0, (rewards[0], terminations[0], truncations[0]))
             if ended := bool(terminations[0] or truncations[0]):

@@ -76,6 +76,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     costs = {
         "target": 0.004 * frames * area,
         "source": 0.01 * frames * area,
+        "replayed": 0.003 * seen * area * (s.paired_steps > 0),
         "convergence": 30.0 * (k > 0 and s.until_settled),
         "state_predictor": 0.002 * config.feeding.state_predictor_batch * lengths.state_predictor * area,
         "visual": 0.1 * config.feeding.visual_batch * lengths.visual * area * (G["width"] / 16) ** 2 * G["blocks"] / 3,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -114,20 +114,30 @@ def record_source(
 
 
 def replay_in_source(
-    c: StageContext, k: int, recording: Path, G: VisualTransformation, F: ActionTransformation | None
-) -> Path:
-    """``source.h5`` of a grounding step: what the source shows and does when the target's actions are played in it.
+    c: StageContext, k: int, recordings: Sequence[Path], G: VisualTransformation | None, F: ActionTransformation | None,
+    name: str = "source", horizon: int | None = None,
+) -> Path:  # fmt: skip
+    """``<name>.h5`` of a grounding step: what the source shows and does when the target's actions are played in it.
 
     Where a policy succeeds in the source and fails in the target, its images differ in what happens and not only in
     looks, and a discriminator asks G to make up the difference. The same actions bring about the same.
+
+    Args:
+        c: of the run.
+        k: grounding step.
+        recordings: trajectory files of the target.
+        G: F looks through it; None without F.
+        F: actions go through it.
+        name: of the file.
+        horizon: control steps of each episode that are played; None for all.
     """
 
     def make(seed: int) -> Trajectories:
         with closing(c.worlds.grounded(1, G if F is not None else None, F)) as env:
             about = f"{c.worlds.task.name} source, the target's actions of step {k}"
-            return replay(env, read_all([recording]).episodes, seed, about, "source_pixels")
+            return replay(env, read_all(recordings).episodes, seed, about, "source_pixels", horizon)
 
-    return c.stages.record(k, "source", make)[0]
+    return c.stages.record(k, name, make)[0]
 
 
 def on_policy(pi: AsymmetricSAC) -> MakePolicy:

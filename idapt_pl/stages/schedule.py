@@ -112,6 +112,9 @@ class Schedule:
             also the reference for direct transfer.
         source_actions: what the source is recorded with in a grounding step: the ``policy``, in the grounded source, or
             the ``target``'s recorded actions again, so that G need not make up for what happened in one of them alone.
+        paired_steps: so many control steps from the start of each of the target's episodes are played again in the
+            source as it is. Images of the same step then show nearly the same to ``visual.reset_weight``, where
+            otherwise only first observations do. As many as the two dynamics take to part ways. 0 for none.
         pretrain: stages before the first grounding step.
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
@@ -134,6 +137,7 @@ class Schedule:
     interactions: int = 1000
     source_policy: int | None = 10_000
     source_actions: Literal["policy", "target"] = "policy"
+    paired_steps: int = 0
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
     action_transformation: bool = True
@@ -143,7 +147,13 @@ class Schedule:
     lengths: Literal["given", "paper", "official"] = "given"
 
     def __post_init__(self) -> None:
-        once = {"images": COUNT, "source_images": COUNT, "interactions": COUNT, "source_policy": COUNT_OR_NONE}
+        once = {
+            "images": COUNT,
+            "source_images": COUNT,
+            "interactions": COUNT,
+            "paired_steps": COUNT_OR_NONE,
+            "source_policy": COUNT_OR_NONE,
+        }
         once |= {"grounding_steps": Range(0, 99), "exploration_horizon": Range(2, 1e6)}
         check_ranges("schedule", vars(self), once)
         for part in ("pretrain", "finetune"):

@@ -20,6 +20,7 @@ def fit_G(
     batches: int,
     P_S: StatePredictor,
     initial: VisualTransformation | None = None,
+    replayed: Path | None = None,
 ) -> VisualTransformation:
     """G with P^T on unpaired images; P^T starts as a copy of P^S.
 
@@ -31,6 +32,7 @@ def fit_G(
         batches: gradient steps of the generators.
         P_S: fitted to the same source files.
         initial: the G that this one goes on from.
+        replayed: the source's file of what the target's actions do there at first, or None.
     """
 
     def build() -> VisualTransformation:
@@ -42,6 +44,6 @@ def fit_G(
     def feed(module: VisualTransformation, seed: int, device: torch.device) -> UnpairedImages:
         stack, size = c.worlds.frame_stack, c.batches.visual_batch
         resets = max(1, size // 4) if module.hparams.reset_weight else 0
-        return UnpairedImages(source, target, stack, size, batches, seed, resets)
+        return UnpairedImages(source, target, stack, size, batches, seed, resets, replayed)
 
     return c.stages.fit(step, "visual", build, feed, batches)

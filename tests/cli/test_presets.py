@@ -39,7 +39,7 @@ PAPER = {
     "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
     "schedule.accumulate": False, "schedule.exploration": "random", "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False, "schedule.source_actions": "policy",
-    "schedule.exploration_horizon": None,
+    "schedule.exploration_horizon": None, "schedule.paired_steps": 0,
     "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
     # Open in the paper, from the authors' code
     "feeding.visual_batch": 8, "feeding.buffer_size": 100_000, "visual.state_weight": 5.0, "policy.tau": 0.01,

@@ -112,6 +112,21 @@ def test_resets_are_first_observations_of_either_domain(file):
         assert set(shown[..., 0].flatten().tolist()) == episodes
 
 
+def test_what_is_played_again_is_drawn_together_with_what_the_target_showed(file):
+    """Episode and time are written in the images; the source's episodes have other numbers and end sooner or later."""
+    source, target = file("s.h5"), file("t.h5", first=9, state=False)
+    replayed = file("r.h5", lengths=[2, 9, 1, 3])
+    data = UnpairedImages([source], [target], 1, 4, batches=30, seed=0, resets=3, replayed=replayed)
+    data.setup("fit")
+    batches = [batch for batch, *_ in data.train_dataloader()]
+    here, there = (torch.cat([b[f"{d}_resets"]["pixels"] for b in batches])[:, 0, 0, 0] for d in ("source", "target"))
+    assert torch.equal(there[:, 0] - here[:, 0], torch.full((90,), 8)), "one episode"
+    assert torch.equal(here[:, 1], there[:, 1]), "one time"
+    shown = {tuple(x) for x in here[:, :2].tolist()}
+    steps = {e: max(t for of, t in shown if of == e) for e in (1, 2, 3, 4)}
+    assert steps == {1: 1, 2: 4, 3: 1, 4: 3}, "what both have"
+
+
 def test_batches_are_reproducible_by_seed(file):
     files = [file("s.h5")], [file("t.h5", state=False)]
     a, b, c = (drawn(UnpairedImages(*files, frame_stack=1, batch_size=4, batches=4, seed=s)) for s in (1, 1, 2))
