@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from cli.arguments import parser
 from datamodules.unpaired import read_all
+from idapt_pl.envs import TargetFailed
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.files import write_json
 from idapt_pl.ranges import COUNT_OR_NONE, SEED, Range, check_ranges
 from idapt_pl.rl.physics_observer import ActingByPhysics
-from idapt_pl.rl.policy import deterministic
-from idapt_pl.rl.returns import evaluate
+from idapt_pl.rl.policy import Policy, deterministic
+from idapt_pl.rl.returns import EpisodeOutcome, evaluate
 from idapt_pl.run import Run
-from idapt_pl.run_folder.interactions import later_entries
+from idapt_pl.run_folder.interactions import later_entries, later_outcome_entries, later_outcomes
+from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.stages.labels import smoother_of
 from idapt_pl.stages.schedule import length_of
 
@@ -62,6 +64,8 @@ def main(args: list[str]) -> int:
     how = f"_physics{o.physics}" if o.physics else ""
     path = o.run / f"evaluation_{o.episodes}_{o.seed}{how}.json"
     write_json(path, result, checked=True)
+    if not o.physics:
+        KeptOutcomes(run.folder, later_outcomes(o.episodes, o.seed)).forget()
     for entry in later_entries(path):
         run.worlds.ledger.enter(entry["step"], entry["purpose"], entry["count"])
     if o.json:
@@ -75,19 +79,41 @@ def main(args: list[str]) -> int:
 
 
 def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
-    """Returns of every policy the run has kept."""
-    worlds = run.worlds
+    """Returns of every policy the run has kept.
+
+    Raises:
+        TargetFailed: if the target fails; the message says what is kept.
+    """
     results: dict[str, dict] = {}
     for name, path in finished_policies(run):
-        policy = run.load_policy(path)
-        envs = {"target": worlds.rewarded_target(min(episodes, 25))}
+        act = deterministic(run.load_policy(path))
+        results[name] = {"target": in_target(run, name, act, episodes, seed)}
         if name == "direct transfer":  # the others expect translated images
-            envs["source"] = worlds.source(min(episodes, 25))
-        results[name] = {}
-        for domain, env in envs.items():
-            with closing(env):
-                results[name][domain] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
+            with closing(run.worlds.source(min(episodes, 25))) as env:
+                results[name]["source"] = evaluate(env, act, episodes, seed).to_dict()
     return results
+
+
+def in_target(run: Run, name: str, act: Policy, episodes: int, seed: int) -> dict:
+    """Return of one policy in the target; what a target brings that cannot be played again is kept meanwhile."""
+    worlds, kept = run.worlds, KeptOutcomes(run.folder, later_outcomes(episodes, seed))
+    before = [EpisodeOutcome(**known["outcome"]) for known in kept if known["policy"] == name]
+
+    def keep(outcome: EpisodeOutcome) -> None:
+        if not worlds.target.repeatable:
+            kept.add({"policy": name, "steps": outcome.steps, "outcome": asdict(outcome)})
+
+    try:
+        with closing(worlds.rewarded_target(min(episodes, 25))) as env:
+            return evaluate(env, act, episodes, seed, before=before, keep=keep).to_dict()
+    except TargetFailed as failure:
+        for known in later_outcome_entries(kept.path) if kept.steps else ():
+            worlds.ledger.enter(known["step"], known["purpose"], known["count"])
+        whole = sum(known["outcome"]["whole"] for known in kept if known["policy"] == name)
+        raise TargetFailed(
+            f"{failure}. {whole} of {episodes} episodes of {name} are kept; when the target works again, the same "
+            "command goes on"
+        ) from failure
 
 
 def check_physics(run: Run, members: int) -> None:

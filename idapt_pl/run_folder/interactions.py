@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -97,7 +98,10 @@ def held_interactions(run: Path, num_envs: int, warmup_steps: int) -> tuple[list
             if (path := folder / f"{name}{SO_FAR}").exists() and not (folder / f"{name}.json").exists():
                 collect(path, partial(counted_entries, step, purpose, so_far_steps))
     for path in sorted(run.glob("evaluation_*.json")):
-        collect(path, later_entries)
+        if not path.name.endswith(SO_FAR):
+            collect(path, later_entries)
+        elif not path.with_name(path.name.replace(SO_FAR, ".json")).exists():
+            collect(path, later_outcome_entries)
     return entries, unreadable
 
 
@@ -154,6 +158,20 @@ def later_entries(path: Path) -> list[dict]:
         entry(-1, later_evaluation(name, result["episodes"], result["seed"]), domains["target"]["interactions"])
         for name, domains in result["policies"].items()
     ]
+
+
+def later_outcomes(episodes: int, seed: int) -> str:
+    """The name of a measurement by ``idapt evaluate``, for outcomes that are kept until it is complete."""
+    return f"evaluation_{episodes}_{seed}"
+
+
+def later_outcome_entries(path: Path) -> list[dict]:
+    """Entries of what an ``idapt evaluate`` that is not complete has kept."""
+    _, episodes, seed = path.name.removesuffix(SO_FAR).split("_")
+    steps: Counter[str] = Counter()
+    for known in read_outcomes(path):
+        steps[known["policy"]] += known["steps"]
+    return [entry(-1, later_evaluation(name, int(episodes), int(seed)), n) for name, n in steps.items()]
 
 
 def reconciled(entries: list[dict], held: list[dict]) -> list[dict]:

@@ -183,6 +183,41 @@ def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fail
 
 
 @pytest.mark.usefixtures("lab")
+def test_what_was_judged_later_is_kept_too_when_the_robot_fails(tmp_path, capsys, monkeypatch):
+    answers: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda text: answers.append(text) or str(len(answers)))
+    run = tmp_path / "run"
+    config = written(tmp_path, env="my_lab:CartPole", measure="ask", horizon=8)
+    fit = ["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0", "--episodes", "1"]
+    assert main(fit) == 0
+    answers.clear()
+    command = ["evaluate", "--run", str(run), "--episodes", "3", "--seed", "5", "--json"]
+    (tmp_path / "unplugged").write_text("34")  # three episodes of at most 8, and a part of what the next policy does
+    assert main(command) == 1
+    assert "1 of 3 episodes of visual grounding, step 0 are kept" in capsys.readouterr().err and len(answers) == 4
+
+    def counted():
+        entries = json.loads((run / "ledger.json").read_text())["entries"]
+        return {e["purpose"].split(",")[0]: e["count"] for e in entries if "seed 5" in e["purpose"]}
+
+    so_far = counted()
+    assert set(so_far) == {"evaluation of direct transfer", "evaluation of visual grounding"}
+    assert sum(so_far.values()) == 34 and so_far["evaluation of visual grounding"] > 8
+    (run / "ledger.json").unlink()
+    assert main(["ledger", "--run", str(run), "--repair"]) == 0 and counted() == so_far
+
+    (tmp_path / "unplugged").write_text("1000")
+    capsys.readouterr()
+    assert main(command) == 0
+    policies = json.loads(capsys.readouterr().out)["policies"]
+    assert policies["direct transfer"]["target"]["returns"] == [1, 2, 3]
+    assert policies["visual grounding, step 0"]["target"]["returns"] == [4, 5, 6]
+    played = 1000 - int((tmp_path / "unplugged").read_text())
+    assert counted() == so_far | {"evaluation of visual grounding": so_far["evaluation of visual grounding"] + played}
+    assert not list(run.glob("*_so_far.json")) and main(["ledger", "--run", str(run)]) == 0
+
+
+@pytest.mark.usefixtures("lab")
 def test_a_person_who_is_asked_for_success_says_yes_or_no(monkeypatch):
     answers = iter(["perhaps", "Y", "no"])
     monkeypatch.setattr("builtins.input", lambda text: next(answers))
