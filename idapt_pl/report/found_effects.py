@@ -62,8 +62,8 @@ def known_start_section(searched: dict) -> str:
     if searched["effects"]:
         verdict = "This is what had been found before" if searched["suggested"] else "So this was added"
     said += (
-        f"They are best with {named}: their error falls from {before} to {after} (by {mean} ± {spread}, one standard "
-        f"error). {verdict}."
+        f"They are best with {named}: their error falls from {before} to {after} (by {mean} ± {spread} nats, one "
+        f"standard error). {verdict}."
     )
     tried = [(t["candidate"], *(f"#{format_number(t[key])}" for key in ("value", "error"))) for t in searched["tried"]]
     heads = ("candidate", "#best of the values tried", "#error")

@@ -22,20 +22,18 @@ from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.refinement import (
-    Errors,
     KnownStartForecasts,
+    Misfits,
     Refined,
     known_start_forecasts,
+    mean_error,
     refine_parameters,
 )
 
 log = logging.getLogger(__name__)
 
-RECORDINGS_JUDGED, STEPS_JUDGED, MEMBERS_JUDGED = 60, 15, 24
-"""Recordings, their first control steps, and simulations that follow each.
-
-Many short ones tell most: a robot that moves otherwise than its source is soon where no estimator has been, and from
-each start it is known anew (HalfCheetah's seed 3, which these were chosen on)."""
+RECORDINGS_JUDGED, MEMBERS_JUDGED = 60, 24
+"""Recordings, and simulations that follow each. Many short ones tell most: from each start the robot is known anew."""
 RECORDINGS_TRIED = 20
 """With which all candidates are tried first."""
 JUDGED = 3
@@ -52,9 +50,9 @@ class KnownStartSearch:
         best: the effects with which forecasts are best, and their parameters; empty where none does better than none.
         accepted: whether they are to be added.
         suggested: whether they are those that another search had found.
-        before: error of forecasts without them.
+        before: error of forecasts without them, as of :func:`~idapt_pl.stages.refinement.mean_error`.
         after: with them.
-        gain: mean gain of recordings, its standard error, and the control's gain as a share of its error.
+        gain: mean gain of recordings, its standard error, and the control's gain, nats.
         tried: candidates, values and errors of the first round, the best first.
     """
 
@@ -69,7 +67,7 @@ class KnownStartSearch:
     def to_dict(self) -> dict[str, Any]:
         """As ``known_start_search.json`` has it."""
         effects, how = [e.to_dict() for e in self.best[0]], [dataclasses.asdict(r) for r in self.best[1]]
-        gain = dict(zip(("mean", "standard_error", "share_in_control"), map(six_digits, self.gain), strict=True))
+        gain = dict(zip(("mean", "standard_error", "in_control"), map(six_digits, self.gain), strict=True))
         return {
             "effects": effects if self.accepted else [],
             "best": effects,
@@ -102,8 +100,7 @@ def effects_from_known_starts(
     def make(seed: int) -> dict:
         source = c.worlds.source_domain
         candidates = forecast_candidates(source, read_calibrated(sensor, source, target, [control], G), settings)
-        size = RECORDINGS_JUDGED, STEPS_JUDGED, MEMBERS_JUDGED
-        forecasts = known_start_forecasts(c, target, control, G, pi, seed, *size)
+        forecasts = known_start_forecasts(c, target, control, G, pi, seed, RECORDINGS_JUDGED, MEMBERS_JUDGED)
         return search_from_known_starts(candidates, *forecasts, [effect_from_dict(e) for e in found]).to_dict()
 
     return c.stages.measure(step, "known_start_search", make)["effects"]
@@ -115,9 +112,10 @@ def search_from_known_starts(
 ) -> KnownStartSearch:  # fmt: skip
     """The effect with which the target's first frames are forecast best, or those that are suggested.
 
-    It must be worth what an effect judged by forecasts must (:mod:`~idapt_pl.image_diagnosis.forecast_search`), and
-    more than twice as large a share as in the control, where the source lacks nothing: what helps there too makes up
-    for the sensor. What is suggested is put aside for what forecasts surely better, and else added.
+    It must be worth what an effect judged by forecasts must (:mod:`~idapt_pl.image_diagnosis.forecast_search`; a tenth
+    of the errors is about 0.1 nats), and more than twice as much as in the control, where nothing is missing: what
+    helps there too makes up for the sensor. What is suggested is put aside for what forecasts surely better, and else
+    added.
 
     Args:
         candidates: effects of one parameter.
@@ -128,34 +126,34 @@ def search_from_known_starts(
     tried = screened(candidates, of_target.first(RECORDINGS_TRIED))
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
     without = of_target([])
-    before = float(without.mean())
+    before = mean_error(without)
     rivals = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
     scored = [(of_target(rival[0]), rival) for rival in rivals]
-    errors, best = min(scored, key=lambda s: s[0].mean(), default=(without, ([], [])))
-    gain, clear = gain_of(best[0], without, errors, of_control)
+    misfit, best = min(scored, key=lambda s: s[0].mean(), default=(without, ([], [])))
+    gain, clear = gain_of(best[0], without, misfit, of_control)
     if suggested:
         own = refine_parameters(suggested, of_target)
-        its_errors = of_target(own[0])
-        better, spread = paired_gain(its_errors, errors, np.arange(len(without)))
-        log.info("%s forecasts %.3g ± %.2g better than what was found", labels_of(best[0]), better, spread)
+        its_misfit = of_target(own[0])
+        better, spread = paired_gain(its_misfit, misfit, np.arange(len(without)))
+        log.info("%s forecasts %.3g ± %.2g nats better than what was found", labels_of(best[0]), better, spread)
         if not clear or better < STANDARD_ERRORS * spread:
-            gain, _ = gain_of(own[0], without, its_errors, of_control)
-            return KnownStartSearch(own, True, True, before, float(its_errors.mean()), gain, told)
-    return KnownStartSearch(best, clear, False, before, float(errors.mean()), gain, told)
+            gain, _ = gain_of(own[0], without, its_misfit, of_control)
+            return KnownStartSearch(own, True, True, before, mean_error(its_misfit), gain, told)
+    return KnownStartSearch(best, clear, False, before, mean_error(misfit), gain, told)
 
 
 def gain_of(
-    effects: Sequence[Effect], without: np.ndarray, errors: np.ndarray, of_control: KnownStartForecasts
+    effects: Sequence[Effect], without: np.ndarray, misfit: np.ndarray, of_control: KnownStartForecasts
 ) -> tuple[tuple[float, float, float], bool]:
-    """What effects gain, its standard error, the control's gain as a share of its error; whether that is enough."""
+    """What effects gain, its standard error, the control's gain, nats; whether that is enough."""
     if not effects:
         return (0.0, 0.0, 0.0), False
-    gain, spread = paired_gain(without, errors, np.arange(len(without)))
-    in_control = 1 - float(of_control(effects).mean() / of_control([]).mean())
-    least = max(STANDARD_ERRORS * spread, GAIN_SHARE * without.mean(), 2 * in_control * without.mean())
+    gain, spread = paired_gain(without, misfit, np.arange(len(without)))
+    in_control = float(of_control([]).mean() - of_control(effects).mean())
+    least = max(STANDARD_ERRORS * spread, GAIN_SHARE, 2 * in_control)
     log.info(
-        "from known starts %s forecasts %.3g ± %.2g better than %.3g, the control by %.2g of it",
-        labels_of(effects), gain, spread, without.mean(), in_control,
+        "from known starts %s forecasts %.3g ± %.2g nats better than nothing, and the control %.2g",
+        labels_of(effects), gain, spread, in_control,
     )  # fmt: skip
     return (gain, spread, in_control), bool(gain > least)
 
@@ -165,10 +163,10 @@ def labels_of(effects: Sequence[Effect]) -> str:
     return ", ".join(str(e.to_dict()) for e in effects) or "nothing"
 
 
-def screened(candidates: Sequence[Candidate], errors: Errors) -> list[tuple[Candidate, float, float]]:
+def screened(candidates: Sequence[Candidate], misfit: Misfits) -> list[tuple[Candidate, float, float]]:
     """Candidates with the value that forecasts best and the error then, the best first, if better than without."""
-    without, best = float(errors([]).mean()), []
+    without, best = mean_error(misfit([])), []
     for c in candidates:
-        tried = [(float(errors([c.effect([x])]).mean()), x) for x in first_values(c)]
+        tried = [(mean_error(misfit([c.effect([x])])), x) for x in first_values(c)]
         best += [(c, x, error) for error, x in sorted(tried)[:1] if error < without]
     return sorted(best, key=lambda found: found[2])

@@ -20,15 +20,22 @@ from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.labels import known_starts, recordings_of
 from idapt_pl.tasks import Task
 
-RECORDINGS, STEPS, MEMBERS = 12, 40, 48
-"""Recordings, their first control steps, and simulations that follow each."""
+RECORDINGS, MEMBERS = 12, 48
+"""Recordings, and simulations that follow each."""
+SECONDS, STEPS_LEAST, STEPS_MOST = 0.5, 8, 40
+"""How long recordings are followed from their start, within bounds in control steps.
+
+Sooner the dynamics hardly tell, and G may have learned to make up for them; later a robot that moves otherwise than its
+source is where no estimator has been."""
+LEAST_ERROR = 1e-3
+"""Of a component, in units of its spread: what could be read better would not say more."""
 READING_ERROR = 6.0
 """Times the error on translated images that readings are taken to have: so that they hardly move a simulation."""
 STRIDES = (0.2, 0.08)
 """Of the logarithm of a parameter, in a first and a second round of five values."""
 
-Errors = Callable[[Sequence[Effect]], np.ndarray]
-"""Effects to the errors of forecasts of every recording, (n,)."""
+Misfits = Callable[[Sequence[Effect]], np.ndarray]
+"""Effects to how badly every recording is forecast with them, (n,): nats, as of :func:`misfits`."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class KnownStartForecasts:
-    """How wrong forecasts from known starts are, positions alone, in units of their spread.
+    """How badly forecasts from known starts fit what is read, positions alone.
 
     Attributes:
         smooth: ensembles of the source that readings hardly correct.
@@ -66,10 +73,10 @@ class KnownStartForecasts:
     seed: int
 
     def __call__(self, effects: Sequence[Effect]) -> np.ndarray:
-        """Errors (n,) of the forecasts of every recording by the source with these effects."""
+        """Misfits (n,) of the forecasts of every recording by the source with these effects."""
         domain = self.smooth.domain.with_effects(*effects)
         made = replace(self.smooth, domain=domain)([r.first(self.steps) for r in self.recordings], self.seed)
-        return centred_errors([s.surprise[1:, self.shown] / self.scale for s in made])
+        return misfits([s.surprise[1:, self.shown] / self.scale for s in made])
 
     def first(self, recordings: int) -> KnownStartForecasts:
         """Of so many recordings."""
@@ -98,10 +105,10 @@ def refined_effects(
         return found
 
     def make(seed: int) -> dict:
-        errors, _ = known_start_forecasts(c, target, control, G, pi, seed)
+        misfit, _ = known_start_forecasts(c, target, control, G, pi, seed)
         effects = [effect_from_dict(e) for e in found]
-        better, how = refine_parameters(effects, errors)
-        scores = [float(errors(e).mean()) for e in (effects, better)]
+        better, how = refine_parameters(effects, misfit)
+        scores = [mean_error(misfit(e)) for e in (effects, better)]
         kept = better if scores[1] < scores[0] else effects
         return {
             "effects": [e.to_dict() for e in kept],
@@ -114,7 +121,7 @@ def refined_effects(
 
 def known_start_forecasts(
     c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int,
-    most: int = RECORDINGS, steps: int = STEPS, members: int = MEMBERS,
+    most: int = RECORDINGS, members: int = MEMBERS,
 ) -> tuple[KnownStartForecasts, KnownStartForecasts]:  # fmt: skip
     """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing.
 
@@ -126,7 +133,6 @@ def known_start_forecasts(
         pi: its encoder reads target images.
         seed: of the ensembles.
         most: recordings of each.
-        steps: of each recording, from its start.
         members: simulations that follow each.
     """
     worlds, sensor = c.worlds, pi.estimator(G)
@@ -142,19 +148,29 @@ def known_start_forecasts(
     )
     shown = position_components(worlds.task, states[0].astype(float))
     scale = states.std(0)[shown] + 1e-9
+    steps = int(np.clip(round(SECONDS / worlds.period), STEPS_LEAST, STEPS_MOST))
     of_target, of_control = (
         KnownStartForecasts(smooth, recordings, steps, shown, scale, seed) for recordings in (first, read)
     )
     return of_target, of_control
 
 
-def centred_errors(surprises: Sequence[np.ndarray]) -> np.ndarray:
-    """Mean absolute surprise of every recording, (n,), from surprises (T, c) less what is common to all.
+def misfits(surprises: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean negative logarithm of the likelihood of every recording's surprises (T, c), (n,), nats.
 
-    A sensor that is off by something constant would else draw parameters to where the robot is off by as much.
+    As if they had Laplace's distribution, with a median and a scale for each component that are those of the surprises:
+    what is read badly whatever the dynamics then weighs little, and a sensor that is off by something constant does not
+    draw parameters to where the robot is off by as much. The mean of all is the logarithm of :func:`mean_error`.
     """
-    common = np.concatenate(surprises).mean(0)
-    return np.array([np.abs(s - common).mean() for s in surprises])
+    every = np.concatenate(surprises)
+    common = np.median(every, 0)
+    scale = np.abs(every - common).mean(0) + LEAST_ERROR
+    return np.array([(np.abs(s - common).mean(0) / scale + np.log(scale)).mean() - 1 for s in surprises])
+
+
+def mean_error(of_recordings: np.ndarray) -> float:
+    """The geometric mean over components of the error of forecasts, in units of their spread, from misfits (n,)."""
+    return float(np.exp(of_recordings.mean()))
 
 
 def position_components(task: Task, state: np.ndarray) -> list[int]:
@@ -164,15 +180,15 @@ def position_components(task: Task, state: np.ndarray) -> list[int]:
     return [i for i, qpos in enumerate(moved) if not np.allclose(qpos, at, atol=1e-9)]
 
 
-def refine_parameters(effects: Sequence[Effect], errors: Errors) -> tuple[list[Effect], list[Refined]]:
-    """One parameter after the other is put where a parabola through the errors at five values of it is lowest."""
+def refine_parameters(effects: Sequence[Effect], misfit: Misfits) -> tuple[list[Effect], list[Refined]]:
+    """One parameter after the other is put where a parabola through the misfits at five values of it is lowest."""
     now, how = list(effects), []
     for i, name in scalars(effects):
         before, spread = getattr(now[i], name), None
         for stride in STRIDES:
             x = stride * np.arange(-2, 3)
             tried = [scaled(now[i], name, float(np.exp(u))) for u in x]
-            scores = np.array([errors([*now[:i], e, *now[i + 1 :]]) for e in tried])
+            scores = np.array([misfit([*now[:i], e, *now[i + 1 :]]) for e in tried])
             x = np.log([getattr(e, name) / getattr(now[i], name) for e in tried])  # some are at a bound
             best, _ = parabola_minimum(x, scores.mean(1))
             spread = minimum_uncertainty(x, scores) if len(scores[0]) > 1 else None
