@@ -32,9 +32,9 @@ from idapt_pl.stages.refinement import (
 
 log = logging.getLogger(__name__)
 
-RECORDINGS_JUDGED, MEMBERS_JUDGED = 60, 24
+RECORDINGS_JUDGED, MEMBERS_JUDGED = 60, 16
 """Recordings, and simulations that follow each. Many short ones tell most: from each start the robot is known anew."""
-RECORDINGS_TRIED = 20
+RECORDINGS_TRIED = 12
 """With which all candidates are tried first."""
 JUDGED = 3
 """Candidates that are judged by all recordings, their values refined."""
