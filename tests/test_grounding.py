@@ -348,9 +348,11 @@ def test_opening_a_run_puts_the_effects_it_discovered_into_its_source(finished_r
     source = Run.open(run).worlds.source_domain.compile()
     assert source.body("pole").mass[0] == pytest.approx(33.0)
     refined = hidden | {"parameters": {"mass": 44.0}}
-    (run / "step_01/refined_effects.json").write_text(json.dumps({"effects": [refined]}))
+    (run / "step_01/known_start_search.json").write_text(json.dumps({"effects": [refined]}))
     source = Run.open(run).worlds.source_domain.compile()
-    assert source.body("pole").mass[0] == pytest.approx(44.0), "the refined ones are what the run went on with"
+    assert source.body("pole").mass[0] == pytest.approx(44.0), (
+        "those of the second opinion are what the run went on with"
+    )
     assert Run.open(finished_run).worlds.source_domain.compile().body("pole").mass[0] != pytest.approx(33.0)
 
 
@@ -358,7 +360,7 @@ def test_the_summary_tells_of_effects_as_they_were_refined(finished_run, tiny_ar
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)
     (run / "config.yaml").write_text((run / "config.yaml").read_text().replace(str(finished_run), str(run)))
-    for name, mass in (("effects", 33.0), ("refined_effects", 44.0)):
+    for name, mass in (("effects", 33.0), ("known_start_search", 44.0)):
         found = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": mass}}]
         written = {"step": 1, "stage": name, "wall_s": 1.0, "effects": found}
         (run / f"step_01/{name}.json").write_text(json.dumps(written))

@@ -25,25 +25,6 @@ def found_effects_section(diagnosis: ImageDiagnosis, model: mujoco.MjModel) -> s
     return "".join([*parts, channel_details(diagnosis)])
 
 
-def refinement_section(refined: dict) -> str:
-    """Which values forecasts from known starts gave to what was found (``refined_effects.json``); empty if none."""
-    if not refined.get("parameters"):
-        return ""
-    error, rows = refined["error"], []
-    for p in refined["parameters"]:
-        before, after = format_number(p["before"]), format_number(p["after"])
-        spread = "-" if p["log_halfwidth"] is None else f"{format_number(100 * p['log_halfwidth'])} %"
-        rows.append(row(phrase_at(p["effect"], p["target"]), p["parameter"], f"#{before}", f"#{after}", f"#{spread}"))
-    better = error["after"] < error["before"]
-    said = (
-        "What was found was refined by forecasts that begin where episodes begin. Their error fell from "
-        if better
-        else "Forecasts that begin where episodes begin gave other values, which were not taken: their error goes from "
-    )
-    heads = ("effect", "parameter", "#found", "#refined", "#give or take (95 %)")
-    return paragraph(f"{said}{format_number(error['before'])} to {format_number(error['after'])}.") + table(heads, rows)
-
-
 def known_start_section(searched: dict) -> str:
     """With what forecasts from known starts are best (``known_start_search.json``); empty if nothing was sought."""
     if not searched:
@@ -54,20 +35,22 @@ def known_start_section(searched: dict) -> str:
     error, gain = searched["error"], searched["gain"]
     numbers = error["before"], error["after"], gain["mean"], gain["standard_error"]
     before, after, mean, spread = map(format_number, numbers)
-    named = " and ".join(
-        f"{phrase_at(p['effect'], p['target'])}, {p['parameter']} {format_number(p['after'])}"
-        for p in searched["parameters"]
-    )
+    values = []
+    for p in searched["parameters"]:
+        sure = "-" if p["log_halfwidth"] is None else f"{format_number(100 * p['log_halfwidth'])} %"
+        at = phrase_at(p["effect"], p["target"])
+        values.append(row(at, p["parameter"], f"#{format_number(p['after'])}", f"#{sure}"))
     verdict = "That is not enough, and nothing was added"
     if searched["effects"]:
         verdict = "This is what had been found before" if searched["suggested"] else "So this was added"
     said += (
-        f"They are best with {named}: their error falls from {before} to {after} (by {mean} ± {spread} nats, one "
-        f"standard error). {verdict}."
+        f"They are best with what the table has: their error falls from {before} to {after} (by {mean} ± {spread} "
+        f"nats, one standard error). {verdict}."
     )
+    best = table(("effect", "parameter", "#value", "#give or take (95 %)"), values)
     tried = [(t["candidate"], *(f"#{format_number(t[key])}" for key in ("value", "error"))) for t in searched["tried"]]
     heads = ("candidate", "#best of the values tried", "#error")
-    return paragraph(said) + details("Candidates tried", table(heads, [row(*cells) for cells in tried]))
+    return paragraph(said) + best + details("Candidates tried", table(heads, [row(*cells) for cells in tried]))
 
 
 def forecast_picture(example: ForecastExample) -> str:

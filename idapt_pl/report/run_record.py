@@ -39,7 +39,6 @@ ORDER = (
     "control",
     "effects",
     "known_start_search",
-    "refined_effects",
     "dynamics",
     "selection",
     "reading_errors",
@@ -70,7 +69,6 @@ class StepRecord:
         folder: ``RUN/step_<k>``.
         evaluation: returns, residuals and translation errors, as in ``evaluation.json``.
         diagnosis: what the source was found to lack (``effects.json``); None if nothing was looked for.
-        refined: their parameters by forecasts from known starts, as in ``refined_effects.json``.
         searched: what forecasts from known starts made of every candidate, as in ``known_start_search.json``.
         selection: whether F was kept, as in ``selection.json``.
         labels: how wrong readings of the target are taken to be, as in ``reading_errors.json``.
@@ -86,7 +84,6 @@ class StepRecord:
     folder: Path
     evaluation: dict
     diagnosis: ImageDiagnosis | None
-    refined: dict
     searched: dict
     selection: dict
     labels: dict
@@ -222,7 +219,6 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         folder,
         evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
-        refined=files.read(folder / "refined_effects.json"),
         searched=files.read(folder / "known_start_search.json"),
         selection=files.read(folder / "selection.json"),
         labels=files.read(folder / "reading_errors.json"),

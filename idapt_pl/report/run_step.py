@@ -7,7 +7,7 @@ import base64
 from idapt_pl.appearance import VisualEffects
 from idapt_pl.effects.wording import format_number
 from idapt_pl.files import verify
-from idapt_pl.report.found_effects import found_effects_section, known_start_section, refinement_section
+from idapt_pl.report.found_effects import found_effects_section, known_start_section
 from idapt_pl.report.html import (
     data_uri,
     details,
@@ -40,7 +40,7 @@ def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> 
     if step.visual_effects is not None:
         parts.append(visual_effects_section(step.visual_effects))
     if step.diagnosis is not None:
-        parts += [found_effects_section(step.diagnosis, model), refinement_section(step.refined)]
+        parts.append(found_effects_section(step.diagnosis, model))
         parts.append(known_start_section(step.searched))
     parts += [step_images(step, run), step_numbers(step, metric)]
     grounded = "G, F" if "dynamics" in step.seconds else "G"

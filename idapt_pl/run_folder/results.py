@@ -22,9 +22,9 @@ def read_result(path: Path) -> dict:
 def effect_files(folder: Path) -> list[Path]:
     """The results that say which effects a grounding step, ``RUN/step_<k>``, added to the source.
 
-    Those of its pictures, then those of its physics: as refined, or found by another search, if they were.
+    Those of its pictures, then those of its physics: of the search from known starts, if there was one.
     """
-    physical = [folder / f"{name}.json" for name in ("refined_effects", "known_start_search", "effects")]
+    physical = [folder / f"{name}.json" for name in ("known_start_search", "effects")]
     last = [path for path in physical if path.exists()][:1]
     return [path for path in (folder / "looks.json", *last) if path.exists()]
 

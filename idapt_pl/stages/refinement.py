@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from datamodules.unpaired import read_all
-from idapt_pl.effects import Effect, effect_from_dict
+from idapt_pl.effects import Effect
 from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
@@ -20,8 +20,6 @@ from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.labels import known_starts, recordings_of
 from idapt_pl.tasks import Task
 
-RECORDINGS, MEMBERS = 12, 48
-"""Recordings, and simulations that follow each."""
 SECONDS, STEPS_LEAST, STEPS_MOST = 0.5, 8, 40
 """How long recordings are followed from their start, within bounds in control steps.
 
@@ -83,45 +81,9 @@ class KnownStartForecasts:
         return replace(self, recordings=self.recordings[:recordings])
 
 
-def refined_effects(
-    c: StageContext, step: int, found: list[dict], target: Sequence[Path], control: Path, G: VisualTransformation,
-    pi: AsymmetricSAC,
-) -> list[dict]:  # fmt: skip
-    """Found effects with refined parameters; ``refined_effects.json`` says what they were.
-
-    Where an episode begins is known, and for a while after it physics alone says where the robot is. What is then read
-    of images tells which value of a parameter is right, however little a single reading does.
-
-    Args:
-        c: of the run.
-        step: grounding step.
-        found: effects, as they are written.
-        target: trajectory files, of which images and actions are used.
-        control: trajectory file of the source, images and states, that nothing was fitted to.
-        G: shows source images as target images.
-        pi: its encoder reads target images.
-    """
-    if not found:
-        return found
-
-    def make(seed: int) -> dict:
-        misfit, _ = known_start_forecasts(c, target, control, G, pi, seed)
-        effects = [effect_from_dict(e) for e in found]
-        better, how = refine_parameters(effects, misfit)
-        scores = [mean_error(misfit(e)) for e in (effects, better)]
-        kept = better if scores[1] < scores[0] else effects
-        return {
-            "effects": [e.to_dict() for e in kept],
-            "error": dict(zip(("before", "after"), scores, strict=True)),
-            "parameters": [dataclasses.asdict(r) for r in how],
-        }
-
-    return c.stages.measure(step, "refined_effects", make)["effects"]
-
-
 def known_start_forecasts(
     c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int,
-    most: int = RECORDINGS, members: int = MEMBERS,
+    most: int, members: int,
 ) -> tuple[KnownStartForecasts, KnownStartForecasts]:  # fmt: skip
     """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing.
 

@@ -14,7 +14,6 @@ from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import effects_from_known_starts
-from idapt_pl.stages.refinement import refined_effects
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,6 @@ class SourceRepair:
         found = self.context.stages.measure(k, "effects", make)["effects"]
         if self.settings.refine:
             found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
-            found = refined_effects(self.context, k, found, target, control, G, pi)
         self._add(k, found)
         return bool(found)
 

@@ -236,20 +236,22 @@ def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
     assert tried["factor"] == best[0] and len(tried["forecast_errors"]) > 3
 
 
-def test_effects_are_refined_on_a_runs_own_recordings(run):
+def test_a_second_opinion_is_formed_on_a_runs_own_recordings(run):
     """From images of the target and their actions; what is written is what the source is given."""
+    from idapt_pl.image_diagnosis.sensor import ImageSensor
     from idapt_pl.run import Run
-    from idapt_pl.stages.refinement import refined_effects
+    from idapt_pl.stages.known_start_search import effects_from_known_starts
 
     opened, folder = Run.open(run), run / "step_00"
+    c = opened.context
     G, pi = opened.load_visual(folder / "visual/final.ckpt"), opened.load_policy(folder / "policy/final.ckpt")
     found = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": 20.0}}]
-    made = refined_effects(opened.context, 0, found, [folder / "target.h5"], folder / "source.h5", G, pi)
-    written = json.loads((folder / "refined_effects.json").read_text())
-    assert written["effects"] == made and made[0]["effect"] == "body_mass"
-    kept = written["error"]["after"] < written["error"]["before"]
-    assert made[0]["parameters"]["mass"] == (written["parameters"][0]["after"] if kept else 20.0)
-    assert refined_effects(opened.context, 1, [], [], folder / "none.h5", G, pi) == []
+    sensor = ImageSensor(pi.estimator(G), c.worlds.task, c.worlds.frame_stack)
+    files = [folder / "target.h5"], folder / "source.h5"
+    made = effects_from_known_starts(c, 0, opened.config.effects, sensor, *files, G, pi, found)
+    written = json.loads((folder / "known_start_search.json").read_text())
+    assert written["effects"] == made and (written["best"] == made or not made)
+    assert [p["after"] for p in written["parameters"]] == [v for e in written["best"] for v in e["parameters"].values()]
 
 
 def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeypatch, teacher, policy):
