@@ -85,10 +85,10 @@ def replace_rows(path: Path, rows: Sequence[Row], key: Sequence[str], fields: Se
 
 
 def mean_and_interval(values: Sequence[float], metric: str = "return") -> str:
-    """Mean and half of Student's 95 % interval over seeds; one seed has no interval."""
+    """Mean and half of Student's 95 % interval over seeds. Of two seeds, whose interval says nothing, both values."""
     digits = 2 if metric == "success" else 0
-    if len(values) < 2:
-        return f"{values[0]:.{digits}f}" if values else ""
+    if len(values) < 3:
+        return ", ".join(dict.fromkeys(f"{value:.{digits}f}" for value in values))
     half = stats.t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
     return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
 
