@@ -6,6 +6,11 @@ import argparse
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+from datamodules.safe_yaml import DataLoader
 
 
 class Help(argparse.ArgumentDefaultsHelpFormatter):
@@ -33,6 +38,32 @@ def parser(command: str, description: str, examples: str = "") -> argparse.Argum
         epilog=examples,
         formatter_class=HelpWithExamples if examples else Help,
     )
+
+
+def add_task_options(p: argparse.ArgumentParser) -> None:
+    """Give a parser ``--task-options``, as ``task_options`` of a config."""
+    p.add_argument(
+        "--task-options",
+        type=options_of,
+        default={},
+        metavar="YAML",
+        help="of a task that is none of the five, as in a config: '{action_repeat: 4}'",
+    )
+
+
+def options_of(text: str) -> dict[str, Any]:
+    """Keys and values that are given in an argument.
+
+    Raises:
+        ArgumentTypeError: if it is something else.
+    """
+    try:
+        found = yaml.load(text, DataLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise argparse.ArgumentTypeError(f"no YAML: {' '.join(str(error).split())[:200]}") from None
+    if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
+        raise argparse.ArgumentTypeError(f"expected keys and values such as '{{action_repeat: 4}}', got {text[:80]!r}")
+    return found
 
 
 def keep_inputs(out: Path, inputs: Iterable[Path | str | None]) -> None:

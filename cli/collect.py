@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import numpy as np
 from tqdm import tqdm
 
-from cli.arguments import parser, show_bar
+from cli.arguments import add_task_options, parser, show_bar
 from cli.provenance import git_commit
 from datamodules import Trajectories, write_trajectories
 from datamodules.trajectories import content_hash
@@ -29,7 +31,7 @@ from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import random_policy
 from idapt_pl.rl.policy import Policy
 from idapt_pl.stage import Stages, cpu_trainer
-from idapt_pl.tasks import TASKS, Task, make_task
+from idapt_pl.tasks import SOURCES, TASKS, Task, make_task
 
 POLICIES = ("random", "backwards", "expert", "random+expert", "random+backwards+expert")
 
@@ -41,8 +43,9 @@ def main(args: list[str]) -> int:
         ValueError: if there are fewer steps than policies.
     """
     p = parser("collect", __doc__)
-    p.add_argument("--task", choices=TASKS, required=True)
-    p.add_argument("--domain", choices=("source", "easy", "hard"), required=True)
+    p.add_argument("--task", required=True, help=f"one of: {', '.join(TASKS)}; {SOURCES}")
+    add_task_options(p)
+    p.add_argument("--domain", required=True, help="source, easy or hard; other tasks may have others, or source alone")
     p.add_argument("--policy", choices=POLICIES, default="random")
     p.add_argument("--steps", type=int, default=20_000, help="control steps")
     p.add_argument("--image-size", type=int, default=100, help="side of the images, pixels")
@@ -57,9 +60,10 @@ def main(args: list[str]) -> int:
     check_ranges("", values, {"--steps": COUNT, "--image-size": IMAGE_SIZE, "--seed": SEED})
     if o.out.is_dir():
         raise ValueError(f"{o.out}: --out is a folder; name a file")
-    task = make_task(o.task)
-    checkpoints = {kind: expert(task, kind, o.seed, o.experts) for kind in kinds if kind != "random"}
-    recorded = VectorImageEnv(task, task.domain(o.domain), 1, o.image_size, frame_stack=1)
+    task = make_task(o.task, o.task_options)
+    domain, experts = task.domain(o.domain), o.experts / folder_name(o.task, o.task_options)
+    checkpoints = {kind: expert(task, kind, o.seed, experts) for kind in kinds if kind != "random"}
+    recorded = VectorImageEnv(task, domain, 1, o.image_size, frame_stack=1)
     env: ImageEnv = recorded
     if o.domain != "source":  # a target shows images and actions, whoever records it
         env = BlindTarget(recorded, Ledger(o.out.with_suffix(".ledger.json")), 0, "training")
@@ -73,6 +77,7 @@ def main(args: list[str]) -> int:
             parts.append(collect(env, counted(policy, bar, env), share, o.seed + i, ""))
     episodes = tuple(episode for part in parts for episode in part)
     told = {"made_by": "idapt collect", "task": o.task, "domain": o.domain, "policy": o.policy, "seed": o.seed}
+    told |= {"task_options": o.task_options} if o.task_options else {}
     told |= {"commit": git_commit(), "experts_sha256": {kind: digest for kind, (_, digest) in checkpoints.items()}}
     told["content_sha256"] = content_hash(episodes)
     trajectories = Trajectories(episodes, parts[0].dt, json.dumps(told))
@@ -80,6 +85,12 @@ def main(args: list[str]) -> int:
     print(f"{o.out}: {len(trajectories)} episodes, {trajectories.total_steps} steps, dt {trajectories.dt:g} s")
     print(f"sha256 of its content {told['content_sha256']}")
     return 0
+
+
+def folder_name(task: str, options: dict[str, Any]) -> str:
+    """A task with its options as the name of a folder."""
+    told = "_" + hashlib.sha256(json.dumps(options, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    return re.sub(r"[^\w.-]+", "_", task) + told * bool(options)
 
 
 def counted(policy: Policy, bar: tqdm, env: ImageEnv) -> Policy:
@@ -99,10 +110,10 @@ def expert(task: Task, kind: str, seed: int, cache: Path) -> tuple[StateSAC, str
         task: what it is an expert of.
         kind: ``"expert"``, or ``"backwards"`` for one that is paid for going the other way.
         seed: of its training.
-        cache: folder where experts are kept.
+        cache: folder where experts of this task are kept.
     """
     trained = task.backwards() if kind == "backwards" else task
-    stages = Stages(cache / f"{task.name}_{kind}_{seed}", seed, cpu_trainer)
+    stages = Stages(cache / f"{kind}_{seed}", seed, cpu_trainer)
     policy = train_expert(trained, task.domain("source"), task.expert, stages, "policy")
     checkpoint = stages.folder(0) / "policy" / "final.ckpt"
     return policy, hashlib.sha256(checkpoint.read_bytes()).hexdigest()

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.arguments import parser
+from cli.arguments import add_task_options, parser
 from idapt_pl.files import write_atomically
 from idapt_pl.ranges import IMAGE_SIZE, check_ranges
 from idapt_pl.report.gallery import LearnedTranslation, gallery_page
 from idapt_pl.run import Run
-from idapt_pl.tasks import TASKS, make_task
+from idapt_pl.tasks import SOURCES, TASKS, make_task
 
 
 def main(args: list[str]) -> int:
     """Run ``idapt gallery``."""
     p = parser("gallery", __doc__)
     p.add_argument("--out", type=Path, required=True, help="folder to write index.html to")
-    p.add_argument("--task", choices=TASKS, nargs="+", default=list(TASKS), help="tasks to show")
+    tasks = f"tasks to show: {', '.join(TASKS)}; {SOURCES}"
+    p.add_argument("--task", nargs="+", default=list(TASKS), help=tasks)
+    add_task_options(p)
     p.add_argument("--image-size", type=int, default=200, help="side of the pictures, pixels")
     p.add_argument("--run", type=Path, nargs="+", default=[], help="run folders whose G is shown too")
     o = p.parse_args(args)
@@ -30,7 +32,8 @@ def main(args: list[str]) -> int:
     shown = [(g.task, g.target) for g in learned]
     if len(set(shown)) < len(shown):
         raise ValueError(f"--run: two runs have the same task and target ({shown}); give one of each")
-    text = gallery_page(map(make_task, o.task), o.image_size, learned=learned)
+    shown_tasks = [make_task(name, o.task_options if ":" in name else None) for name in o.task]
+    text = gallery_page(shown_tasks, o.image_size, learned=learned)
     path = o.out / "index.html"
     write_atomically(path, lambda temporary: temporary.write_text(text))
     print(path)

@@ -146,21 +146,25 @@ def test_evaluate_without_a_run_is_bad_usage(capsys):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("wrong", "code", "words"),
     [
-        (("--domain", "moon"), ("moon", "source", "easy", "hard")),
-        (("--task", "pendulum"), ("pendulum", "inverted_pendulum")),
-        (("--steps", "many"), ("--steps", "many")),
+        (("--domain", "moon"), 1, ("moon", "source", "easy", "hard")),
+        (("--task", "pendulum"), 1, ("pendulum", "inverted_pendulum")),
+        (("--task", "dm_control:cartpole/nope"), 1, ("cartpole",)),
+        (("--steps", "many"), 2, ("--steps", "many")),
+        (("--task-options", "3"), 2, ("--task-options", "action_repeat")),
+        (("--task-options", "{a: [}"), 2, ("--task-options", "YAML")),
+        (("--task-options", "{a: 1}"), 1, ("task_options", "inverted_pendulum")),
     ],
 )
-def test_collect_lists_its_choices(wrong, words, tmp_path, capsys):
+def test_collect_lists_its_choices(wrong, code, words, tmp_path, capsys):
     args = {
         "--task": "inverted_pendulum",
         "--domain": "source",
         "--out": tmp_path / "d.h5",
         wrong[0]: wrong[1],
     }
-    assert_short_error(*run(["collect", *(a for kv in args.items() for a in kv)], capsys), 2, *words)
+    assert_short_error(*run(["collect", *(a for kv in args.items() for a in kv)], capsys), code, *words)
 
 
 def test_collect_of_no_steps_is_an_error_and_writes_nothing(tmp_path, capsys):
@@ -214,6 +218,20 @@ def test_collect_writes_a_trajectory_file_that_shows_the_target_as_images_and_ac
     for e in data:
         assert set(e.observations) == ({"pixels", "state"} if domain == "source" else {"pixels"})
         assert (e.rewards is None) == (domain != "source")
+
+
+def test_collect_and_gallery_take_tasks_of_others(tmp_path, capsys):
+    own = ["--task", "dm_control:cartpole/balance", "--task-options", "{action_repeat: 4, expert_steps: 64}"]
+    size = ["--image-size", "24"]
+    collect = ["collect", *own, *size, "--domain", "source", "--steps", "12", "--experts", tmp_path / "experts"]
+    assert run([*collect, "--policy", "random+expert", "--out", tmp_path / "d.h5"], capsys)[0] == 0
+    data = read_trajectories(tmp_path / "d.h5")
+    assert data.total_steps == 12 and data.dt == pytest.approx(0.04) and "state" in data.episodes[0].observations
+    assert json.loads(data.source)["task_options"] == {"action_repeat": 4, "expert_steps": 64}
+    (kept,) = (tmp_path / "experts").iterdir()
+    assert kept.name.startswith("dm_control_cartpole_balance_"), "a task's name may hold slashes"
+    assert run(["gallery", *own, *size, "--out", tmp_path / "g"], capsys)[0] == 0
+    assert "dm_control:cartpole/balance" in (tmp_path / "g/index.html").read_text()
 
 
 def test_evaluate_reports_every_policy_of_a_run_and_leaves_the_methods_total_alone(finished_run, tmp_path, capsys):
