@@ -25,7 +25,7 @@ SECONDS, STEPS_LEAST, STEPS_MOST = 0.5, 8, 40
 
 Sooner the dynamics hardly tell, and G may have learned to make up for them; later a robot that moves otherwise than its
 source is where no estimator has been."""
-LEAST_ERROR = 1e-3
+SMALLEST_SCALE = 1e-3
 """Of a component, in units of its spread: what could be read better would not say more."""
 READING_ERROR = 6.0
 """Times the error on translated images that readings are taken to have: so that they hardly move a simulation."""
@@ -126,7 +126,7 @@ def misfits(surprises: Sequence[np.ndarray]) -> np.ndarray:
     """
     every = np.concatenate(surprises)
     common = np.median(every, 0)
-    scale = np.abs(every - common).mean(0) + LEAST_ERROR
+    scale = np.abs(every - common).mean(0) + SMALLEST_SCALE
     return np.array([(np.abs(s - common).mean(0) / scale + np.log(scale)).mean() - 1 for s in surprises])
 
 
