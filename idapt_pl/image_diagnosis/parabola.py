@@ -31,7 +31,7 @@ def parabola_minimum(x: np.ndarray, scores: np.ndarray) -> tuple[float, bool]:
     bend, slope, _ = np.polyfit(x[near] - best, scores[near], 2)
     low, high = x[near].min() - best, x[near].max() - best
     stride = (high - low) / 2
-    bottom = -slope / (2 * bend) if bend > 0 else -np.sign(slope) * np.inf
+    bottom = -slope / (2 * bend) if bend > 0 else np.copysign(np.inf, -slope)
     return float(best + np.clip(bottom, low - stride, high + stride)), bool(low <= bottom <= high)
 
 

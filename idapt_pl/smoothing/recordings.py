@@ -25,7 +25,7 @@ FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 """How many times as wrong as on source frames readings of the target may be."""
 
 TRIED_RECORDINGS, TRIED_STEPS = 2, 200
-"""Recordings, and control steps of each, on which the factors are compared."""
+"""Recordings, and control steps of each, on which the factors are compared; of shorter recordings as many more."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +97,27 @@ class RecordingSmoother:
         """With readings that are so many times as wrong."""
         return replace(self, expected=self.expected.times(factor))
 
-    def forecast_errors(self, recordings: Sequence[ReadRecording], scale: np.ndarray, seed: int) -> dict[float, float]:
-        """Mean error of forecast readings, in units of ``scale`` (s,), for each of :data:`FACTORS` of their error.
+    def misfits_by_factor(self, recordings: Sequence[ReadRecording], seed: int) -> dict[float, float]:
+        """How badly readings fit what is expected of them, for each of :data:`FACTORS` of their error, nats.
 
         The factor with the least is the best one. A sensor is more wrong on real images than on those that it learned
-        from, and no state says by how much. But the better an ensemble weighs readings against the model, the better
-        what it knows after one reading tells the next.
+        from, and no state says by how much. But surprises should be as large as ensemble and readings' errors together
+        say: this is the mean negative logarithm of their likelihood, as normally distributed (the innovations' of a
+        Kalman filter). How small surprises are would not tell: what is misread alike in two images forecasts itself.
         """
-        tried, errors = [r.first(TRIED_STEPS) for r in recordings[-TRIED_RECORDINGS:]], {}
+        tried, found = last_of(recordings, TRIED_RECORDINGS, TRIED_STEPS), {}
         for factor in FACTORS:
             made = replace(self.supposing(factor), lag=0)(tried, seed)
-            errors[factor] = float(np.concatenate([np.abs(s.surprise[1:]) / scale for s in made]).mean())
-        return errors
+            surprise, usual = (np.concatenate([getattr(s, name)[1:] for s in made]) for name in ("surprise", "usual"))
+            found[factor] = float((np.log(usual) + 0.5 * np.square(surprise / usual)).mean())
+        return found
+
+
+def last_of(recordings: Sequence[ReadRecording], count: int, steps: int) -> list[ReadRecording]:
+    """The first ``steps`` control steps of the last ``count`` recordings, and of more before if these are shorter."""
+    tried: list[ReadRecording] = []
+    for recording in reversed(recordings):
+        if sum(map(len, tried)) >= count * steps:
+            break
+        tried.insert(0, recording.first(steps))
+    return tried

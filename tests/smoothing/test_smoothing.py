@@ -82,14 +82,13 @@ def test_physics_of_another_robot_helps_less(task, recording):
     assert np.abs(wrong.surprise / states.std(0)).mean() > 1.1 * np.abs(right.surprise / states.std(0)).mean()
 
 
-def test_how_wrong_readings_are_is_told_by_how_well_they_are_forecast(task, recording):
+def test_how_wrong_readings_are_is_told_by_their_surprises(task, recording):
     states, error, read = recording
     expected = expected_of(task, states, error)
-    scale = states.std(0)
     optimist = replace(expected, error=expected.error / 4)  # as if source frames were read four times as well
     for assumed, low, high in ((expected, 1, 1.5), (optimist, 3, 6)):
-        errors = RecordingSmoother(task, task.domain("source"), assumed, 64, 0).forecast_errors([read], scale, 0)
-        assert low <= min(errors, key=errors.__getitem__) <= high
+        found = RecordingSmoother(task, task.domain("source"), assumed, 64, 0).misfits_by_factor([read], 0)
+        assert low <= min(found, key=found.__getitem__) <= high
 
 
 def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):
