@@ -56,7 +56,7 @@ def single_names(recorded: Recorded) -> list[str]:
 def is_finite(values: np.ndarray) -> bool:
     """Whether a column holds numbers, with nearly none missing."""
     return (
-        values.dtype.kind in "fiub" and values.ndim == 1 and len(values) > 1 and bool(np.isfinite(values).mean() > 0.5)
+        values.dtype.kind in "fiu" and values.ndim == 1 and len(values) > 1 and bool(np.isfinite(values).mean() > 0.5)
     )
 
 

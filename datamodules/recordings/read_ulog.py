@@ -15,6 +15,8 @@ from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.topics import LOG_TIME, Topic, read_log
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
+MOST_FIELDS, DEEPEST = 20_000, 20
+"""Fields of a message, and formats within formats; a log of a vehicle has hundreds, and two or three."""
 LATEST_TIME = 2**63 // 1000
 """Microseconds; a later time does not fit into 64 bits as nanoseconds."""
 
@@ -36,7 +38,10 @@ def read_ulog(path: Path, mapping: Mapping) -> list[Recorded]:
         raise RecordingError(f"{path}: not a ULog file of PX4: {came}")
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it thinks of a damaged file
+            _check_formats(path, pyulog.ULog(str(path), parse_header_only=True).message_formats)
             log = pyulog.ULog(str(path))
+    except RecordingError:
+        raise
     except Exception as error:  # it raises what it likes on bytes that it cannot read
         told = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise RecordingError(f"{path}: not a readable ULog file (truncated or damaged): {told}") from None
@@ -57,6 +62,25 @@ def read_ulog(path: Path, mapping: Mapping) -> list[Recorded]:
         }
 
     return read_log(path, names, mapping, read)
+
+
+def _check_formats(path: Path, formats: dict[str, Any]) -> None:
+    """Refuse formats that contain each other, or so many of another that their fields have no end."""
+    fields: dict[str, int] = {}
+
+    def count(name: str, within: tuple[str, ...] = ()) -> int:
+        if name in within or len(within) > DEEPEST:
+            raise RecordingError(f"{path}: the ULog format {name!r} is part of itself or nested too deeply")
+        if name not in fields:
+            parts = formats[name].fields if name in formats else None
+            inner = (max(size, 1) * count(kind, (*within, name)) for kind, size, _ in parts or ())
+            fields[name] = 1 if parts is None else sum(inner)
+        if fields[name] > MOST_FIELDS:
+            raise RecordingError(f"{path}: the ULog format {name!r} has {fields[name]} fields; at most {MOST_FIELDS}")
+        return fields[name]
+
+    for name in formats:
+        count(name)
 
 
 def _name(data: Any) -> str:

@@ -10,6 +10,7 @@ import yaml
 from test_import import MAP, MCAP_MAP, START, assert_as_recorded, load, messages, recorded, write_json_mcap
 
 from datamodules.recordings import RecordingError
+from datamodules.recordings.messages import flatten
 
 # --- rosbag2 --------------------------------------------------------------------------------------------
 
@@ -199,6 +200,12 @@ def test_messages_that_are_not_in_the_file_yet_are_not_lost_in_silence(tmp_path)
         load(path, BAG_MAP)
 
 
+def test_a_message_without_fields_has_no_columns():
+    empty = type("Empty", (), {"__slots__": []})
+    assert flatten(empty()) == {}
+    assert flatten({"q": [1.0, empty()], "more": {"nothing": empty(), "u": 2}}) == {"q[0]": 1.0, "more.u": 2}
+
+
 # --- ULog -----------------------------------------------------------------------------------------------
 
 ULOG_MAP = {
@@ -277,6 +284,23 @@ def test_a_damaged_ulog_is_named(damage, message, tmp_path):
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(RecordingError, match=rf"flight\.ulg: .*({message})"):
         load(path, ULOG_MAP)
+
+
+@pytest.mark.parametrize(
+    ("formats", "message"),
+    [
+        (b"joints:uint64_t timestamp;a[60000] q;|a:b[60000] q;|b:double[60000] q;", r"'\w+' has \d+ fields; at most"),
+        (b"joints:uint64_t timestamp;a[2] q;|a:joints[2] q;", "is part of itself"),
+    ],
+)  # fmt: skip
+def test_ulog_formats_without_end_are_refused_at_once(formats, message, tmp_path):
+    pytest.importorskip("pyulog")
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + ulog_message("B", bytes(40))
+    out += b"".join(ulog_message("F", text) for text in formats.split(b"|"))
+    out += ulog_message("A", struct.pack("<BH", 0, 0) + b"joints") + ulog_message("D", bytes(100))
+    (tmp_path / "flight.ulg").write_bytes(out)
+    with pytest.raises(RecordingError, match=rf"flight\.ulg: .*{message}"):
+        load(tmp_path / "flight.ulg", ULOG_MAP)
 
 
 # --- JSON lines -----------------------------------------------------------------------------------------
