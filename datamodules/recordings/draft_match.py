@@ -119,12 +119,14 @@ def _score(column: str, words: set[str], kind: str, recorded: Recorded, beside: 
 def _numbered(
     subjects: list[str], taken: dict[str, Match], kind: str, left: list[str], topics: list[str]
 ) -> dict[str, Match]:
-    """Columns that are numbered, as many as there are joints or actuators: the n-th is the n-th one's.
+    """Elements of an array, as many as there are joints or actuators: the n-th is the n-th one's.
+
+    Elements with labels count only if no name was found at all: the model calls its joints differently then.
 
     Where several such groups would do equally well, none is taken.
     """
     fitting: dict[bool, list[tuple[str, list[str]]]] = {True: [], False: []}
-    for pattern, columns in _groups(left, topics):
+    for pattern, columns in _groups(left, topics) + ([] if taken else _labelled_groups(left)):
         named = kind_of(pattern)
         if len(columns) == len(subjects) and (named == kind or (not named and kind == POSITION)):
             fitting[named == kind].append((pattern, columns))
@@ -135,9 +137,19 @@ def _numbered(
     groups = [group for group in groups if not set(words_of(group[0])) & set(WEAK)] or groups
     if len({re.sub(r"\W*\d+", "", pattern) for pattern, _ in groups}) != 1:  # instances of a topic count as one
         return {}
-    why = "BY ITS NUMBER ONLY, if the order is the model's"
+    why = "BY ITS PLACE ONLY, if the order is the model's"
     pairs = zip(subjects, groups[0][1], strict=False)
     return {subject: Match(column, why) for subject, column in pairs if subject not in taken}
+
+
+def _labelled_groups(columns: list[str]) -> list[tuple[str, list[str]]]:
+    """Elements that go by labels, as ``state[pan.pos]`` and ``state[lift.pos]``; the array's name, and they."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for column in columns:
+        base, _, element = column.removesuffix("]").rpartition("[")
+        if base and not element.isdigit():
+            groups[base].append(column)
+    return list(groups.items())
 
 
 def _groups(columns: Iterable[str], topics: list[str]) -> list[tuple[str, list[str]]]:

@@ -158,6 +158,24 @@ def test_units_come_from_ranges_and_slopes_where_names_have_none(model, tmp_path
     assert "# velocity: {column: ...}  # not found" in text
 
 
+def test_joints_that_the_recording_calls_otherwise_go_by_their_place(model, tmp_path):
+    c = motion()
+    rows = [
+        {"t": float(t), "state": {"name": ["pan", "lift"], "position": [float(x), float(q)]}}
+        for t, x, q in zip(c["t"], c["x"], c["q"], strict=True)
+    ]
+    content, text = drafted(write_jsonl(tmp_path / "run.jsonl", rows), model)
+    columns = [content["joints"][name]["position"]["column"] for name in ("slider", "hinge")]
+    assert columns == ["state.position[pan]", "state.position[lift]"] and text.count("BY ITS PLACE ONLY") == 2
+
+
+def test_two_arrays_that_would_do_equally_well_are_left_to_the_person(model, tmp_path):
+    a = arrays(ROWS)
+    np.savez(tmp_path / "run.npz", t=a["t"], qpos_left=a["q"], qpos_right=2 * a["q"])
+    made = draft_map(tmp_path / "run.npz", read_layout(model))
+    assert made.positions["slider"].entry is None and "qpos_left[0]" in made.left
+
+
 @pytest.mark.parametrize("counts", [1000, 4096, 16384])
 def test_counts_a_turn_come_from_the_velocity(counts, model, tmp_path):
     c = motion()
