@@ -55,7 +55,7 @@ EXAMPLES = """examples:
   idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
       --candidates body_mass joint_damping actuator_gain
 
-`idapt import` makes measured.h5 from CSV, NPZ, Minari, LeRobot or MCAP. An effects file is a list:
+`idapt import` makes measured.h5 from CSV, JSON lines, ROS bags, ULog and more. An effects file is a list:
   - effect: joint_damping
     target: shoulder
     parameters: {damping: 0.06}

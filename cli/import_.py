@@ -1,7 +1,13 @@
-"""``idapt import``: recordings (CSV, NPZ, Minari, LeRobot, MCAP) as a trajectory file; see docs/guide/import.md."""
+"""``idapt import``: recordings as a trajectory file.
+
+CSV, NPZ, JSON lines, HDF5, Minari, LeRobot, MCAP, rosbag2 (.db3 or a bag's folder) and PX4's ULog (.ulg) are read; no
+ROS is needed. A map says which column is which; --draft-map guesses it. See docs/guide/import.md.
+"""
 
 from __future__ import annotations
 
+import argparse
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,15 +27,19 @@ from datamodules.recordings import (
     ModelLayout,
     RecordingError,
     convert,
+    draft_map,
     fit_to_model,
     read_mapping,
     read_recording,
     summary,
+    write_draft,
 )
 from datamodules.recordings.check import check_against_model, check_velocities
 
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
 """By MuJoCo's number for them (mjtJoint)."""
+JOINT_TRANSMISSIONS = (0, 1)
+"""MuJoCo's numbers (mjtTrn) of actuators that drive a joint."""
 
 
 def main(args: list[str]) -> int:
@@ -38,23 +48,16 @@ def main(args: list[str]) -> int:
     Raises:
         RecordingError: naming the file, what was expected and what came.
     """
-    p = parser("import", __doc__)
-    p.add_argument("recordings", nargs="+", metavar="RECORDING", help="file, dataset folder or Minari dataset id")
-    p.add_argument("--map", type=Path, required=True, help="YAML: which column is which joint, actuator and time")
-    p.add_argument("--model", type=Path, help="MJCF that the recording is checked against and ordered as")
-    p.add_argument("--out", type=Path, help="trajectory file to write (HDF5); not needed with --dry-run")
-    p.add_argument("--format", choices=FORMATS, help="default: told by the recording's name")
-    p.add_argument("--dry-run", action="store_true", help="show what was understood and write nothing")
-    o = p.parse_args(args)
-    if o.out is None and not o.dry_run:
-        p.error("--out is required, or --dry-run to write nothing")
+    o = _options(args)
+    if o.draft_map is not None:
+        return draft(o.recordings, o.model, o.draft_map, o.format)
     if o.out is not None:
         keep_inputs(o.out, [*o.recordings, o.map, o.model])
     mapping, layout = read_mapping(o.map), None
     if o.model is not None:
         layout = read_layout(o.model)
         mapping = fit_to_model(mapping, layout)
-    imported = import_recordings(o.recordings, mapping, layout, o.format)
+    imported = import_recordings(o.recordings, mapping, layout, o.format, o.repair)
     print_preview(imported, mapping)
     if o.dry_run:
         print("dry run: nothing was written")
@@ -64,8 +67,60 @@ def main(args: list[str]) -> int:
     return 0
 
 
+def _options(args: list[str]) -> argparse.Namespace:
+    p = parser("import", __doc__)
+    p.add_argument("recordings", nargs="+", metavar="RECORDING", help="file, dataset folder or Minari dataset id")
+    what = p.add_mutually_exclusive_group(required=True)
+    what.add_argument("--map", type=Path, help="YAML: which column is which joint, actuator and time")
+    what.add_argument(
+        "--draft-map", type=Path, metavar="MAP", help="guess the map from the first recording and --model, and write it"
+    )
+    p.add_argument("--model", type=Path, help="MJCF that the recording is checked against and ordered as")
+    p.add_argument("--out", type=Path, help="trajectory file to write (HDF5); not needed with --dry-run")
+    p.add_argument("--format", choices=FORMATS, help="default: told by the recording's name")
+    p.add_argument("--repair", action="store_true", help="drop single rows whose time repeats or goes back")
+    p.add_argument("--dry-run", action="store_true", help="show what was understood and write nothing")
+    o = p.parse_args(args)
+    if o.draft_map is not None and o.model is None:
+        p.error("--draft-map needs --model, whose joints and actuators it looks for")
+    if o.draft_map is not None and o.out is not None:
+        p.error("--draft-map writes no trajectory file; leave --out out, and give both in the next call")
+    if o.map is not None and o.out is None and not o.dry_run:
+        p.error("--out is required, or --dry-run to write nothing")
+    return o
+
+
+def draft(paths: list[str], model: Path, out: Path, format: str | None = None) -> int:
+    """Guess the map of the first recording, write it, and say what is left to do. Returns the exit code.
+
+    Args:
+        paths: recordings.
+        model: MJCF whose joints and actuators are wanted.
+        out: the map to write; it must not be there yet.
+        format: of the recordings; None: told by their names.
+
+    Raises:
+        RecordingError: naming the file, what was expected and what came.
+    """
+    made = draft_map(paths[0], read_layout(model), format)
+    write_draft(out, made)
+    missing = made.missing()
+    print(f"{out}: a draft, made of {paths[0]}; read every line of it")
+    if missing:
+        print(f"to fill in: {', '.join(missing)}")
+    options = f" --format {format}" if format else ""
+    print(
+        "then: idapt import " + shlex.join([*paths, "--map", str(out), "--model", str(model)]) + f"{options} --dry-run"
+    )
+    return 0
+
+
 def import_recordings(
-    paths: list[str], mapping: Mapping, layout: ModelLayout | None = None, format: str | None = None
+    paths: list[str],
+    mapping: Mapping,
+    layout: ModelLayout | None = None,
+    format: str | None = None,
+    repair: bool = False,
 ) -> Imported:
     """Read, convert and check recordings.
 
@@ -74,6 +129,7 @@ def import_recordings(
         mapping: which column is what, already in the model's order.
         layout: of the model that they are checked against, or None.
         format: of the recordings; None: told by their names.
+        repair: leave out single rows whose time repeats or goes back.
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
@@ -83,7 +139,7 @@ def import_recordings(
         recorded += read_recording(path, mapping, format)
     names = [Path(path).name for path in paths]
     more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    imported = convert(recorded, mapping, f"idapt import: {', '.join(names[:5])}{more}")
+    imported = convert(recorded, mapping, f"idapt import: {', '.join(names[:5])}{more}", repair)
     notes = check_velocities(imported, mapping)
     if layout is not None:
         notes += check_against_model(imported, layout)
@@ -115,7 +171,11 @@ def read_layout(path: Path) -> ModelLayout:
     names = [model.actuator(i).name for i in range(model.nu)]
     ranges = [tuple(r) if limited else None
               for r, limited in zip(model.actuator_ctrlrange, model.actuator_ctrllimited, strict=True)]  # fmt: skip
-    return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges)))
+    driven = [
+        model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] in JOINT_TRANSMISSIONS else ""
+        for i in range(model.nu)
+    ]
+    return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges, driven)))
 
 
 def print_preview(imported: Imported, mapping: Mapping) -> None:

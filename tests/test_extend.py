@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import torch
 from conftest import ROOT
+from scipy.io import savemat
 
 from cli.fit import GroundingCLI
 from cli.main import main
@@ -71,10 +72,10 @@ def test_the_algorithm_is_built_from_a_config(monkeypatch, tiny_args, tmp_path):
 
 
 def test_the_format_is_read(tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.write_text('{"q": 0.0, "u": 1.0}\n{"q": 0.5, "u": 2.0}\n')
-    (recorded,) = example("format").read_jsonl(path, None)
-    np.testing.assert_array_equal(recorded.columns["q"], [0.0, 0.5])
+    savemat(tmp_path / "log.mat", {"q": np.array([[0.0, 1.0], [0.5, 2.0]]), "t": np.array([[0.0], [0.1]]), "rig": "3"})
+    (recorded,) = example("format").read_mat(tmp_path / "log.mat", None)
+    np.testing.assert_array_equal(recorded.columns["q[0]"], [0.0, 0.5])
+    np.testing.assert_array_equal(recorded.columns["t"], [0.0, 0.1])
 
 
 def test_the_network_keeps_the_size_of_images():

@@ -2,6 +2,8 @@
 
 from datamodules.recordings.check import ActuatorLayout, JointLayout, ModelLayout, fit_to_model
 from datamodules.recordings.convert import Imported, convert
+from datamodules.recordings.draft import Draft, draft_map
+from datamodules.recordings.draft_text import write_draft
 from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.formats import FORMATS, read_recording
 from datamodules.recordings.mapping import Mapping, parse_mapping, read_mapping
@@ -10,6 +12,7 @@ from datamodules.recordings.preview import Row, summary
 __all__ = [
     "FORMATS",
     "ActuatorLayout",
+    "Draft",
     "Imported",
     "JointLayout",
     "Mapping",
@@ -17,9 +20,11 @@ __all__ = [
     "RecordingError",
     "Row",
     "convert",
+    "draft_map",
     "fit_to_model",
     "parse_mapping",
     "read_mapping",
     "read_recording",
     "summary",
+    "write_draft",
 ]

@@ -34,10 +34,11 @@ class JointLayout:
 
 @dataclass(frozen=True)
 class ActuatorLayout:
-    """An actuator of a model: name and control range, None without limits."""
+    """An actuator of a model: name, control range, None without limits, and its joint, empty if it drives another."""
 
     name: str
     range: tuple[float, float] | None = None
+    joint: str = ""
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,8 @@ def _fit_joint(mapping: Mapping, joint: Joint, layout: JointLayout) -> Joint:
 
 def _fit_channel(mapping: Mapping, channel: Channel, layout: JointLayout, width: int, per: str) -> Channel:
     """The channel, checked for its width, with the unit that the joint's type says where the map says none."""
+    if layout.type in SI:  # it has one column, so that a list names alternatives, however long it is
+        channel = replace(channel, columns=channel.columns[:1], others=channel.columns[1:] + channel.others)
     columns = max(len(channel.columns), 1)
     if columns != width:
         raise RecordingError(

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datamodules.recordings.alternatives import chosen
 from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.mapping import LONGEST_PERIOD, SHORTEST_PERIOD, Channel, Mapping
 from datamodules.recordings.recorded import Recorded
+from datamodules.recordings.repair import rows_to_drop
 from datamodules.trajectories import Episode, Trajectories
 
 PAUSE, PAUSE_PERIODS = 1.0, 10
@@ -45,23 +47,27 @@ class Imported:
     notes: tuple[str, ...] = ()
 
 
-def convert(recordings: list[Recorded], mapping: Mapping, source: str = "") -> Imported:
+def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repair: bool = False) -> Imported:
     """Turn recorded episodes into trajectories, joints and actuators in the map's order.
 
     Args:
         recordings: as the readers return them.
         mapping: which column is what.
         source: what the trajectory file says of where the data come from.
+        repair: leave out single rows whose time repeats or goes back, and say how many.
 
     Raises:
         RecordingError: naming the file, column and row, what was expected and what came.
     """
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
-    times = [_times(episode, mapping) for episode in episodes]
+    repaired: tuple[str, ...] = ()
+    if repair and mapping.time is not None:
+        episodes, repaired = _repaired(episodes, mapping)
+    times = [_times(episode, chosen(mapping, episode)) for episode in episodes]
     episodes, times, cut = _cut_at_pauses(episodes, times)
     timing = _timing(times, episodes)
-    made = tuple(_episode(e, mapping, t, timing) for e, t in zip(episodes, times, strict=True))
-    return Imported(Trajectories(made, timing.dt, source), timing, cut + _notes(mapping, timing))
+    made = tuple(_episode(e, chosen(mapping, e), t, timing) for e, t in zip(episodes, times, strict=True))
+    return Imported(Trajectories(made, timing.dt, source), timing, repaired + cut + _notes(mapping, timing))
 
 
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
@@ -149,9 +155,24 @@ def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
         raise RecordingError(
             f"{recorded.source}: time column {column!r}, {recorded.row(k)}: time {how} {raw[k]:.12g}, expected it to "
             f"increase ({len(back)} such rows); where episodes follow one another, name their column "
-            "(episodes: {column: ...}) or cut the file, else drop the repeated rows"
+            "(episodes: {column: ...}) or cut the file; --repair drops single such rows"
         )
     return times
+
+
+def _repaired(episodes: list[Recorded], mapping: Mapping) -> tuple[list[Recorded], tuple[str, ...]]:
+    """Episodes without single rows whose time repeats or goes back, and what to tell of it."""
+    kept, dropped = [], []
+    for episode in episodes:
+        time = chosen(mapping, episode).time
+        assert time is not None  # a map without one has nothing to repair
+        times = episode.numbers(time[0], "time.column")
+        drop = rows_to_drop(times)
+        dropped += [f"{episode.source}, {episode.row(k)}" for k in drop]
+        kept.append(episode.without(drop, len(times)) if drop else episode)
+    if not dropped:
+        return episodes, ("--repair found no row whose time repeats or goes back",)
+    return kept, (f"{len(dropped)} rows whose time repeats or goes back are left out, the first {dropped[0]}",)
 
 
 def _cut_at_pauses(

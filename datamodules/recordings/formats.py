@@ -10,10 +10,13 @@ from pathlib import Path
 from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.read_csv import read_csv
+from datamodules.recordings.read_jsonl import read_jsonl
 from datamodules.recordings.read_lerobot import read_lerobot
 from datamodules.recordings.read_mcap import read_mcap
 from datamodules.recordings.read_minari import read_minari
 from datamodules.recordings.read_npz import read_npz
+from datamodules.recordings.read_rosbag2 import read_rosbag2
+from datamodules.recordings.read_ulog import read_ulog
 from datamodules.recordings.recorded import Recorded
 
 FORMATS: dict[str, Callable[[Path, Mapping], list[Recorded]]] = {
@@ -22,11 +25,14 @@ FORMATS: dict[str, Callable[[Path, Mapping], list[Recorded]]] = {
     "minari": read_minari,
     "lerobot": read_lerobot,
     "mcap": read_mcap,
+    "rosbag2": read_rosbag2,
+    "ulog": read_ulog,
+    "jsonl": read_jsonl,
 }
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv", ".npz": "npz", ".mcap": "mcap", ".parquet": "lerobot"},
-    **{".hdf5": "minari", ".h5": "minari"},
+    **{".hdf5": "minari", ".h5": "minari", ".db3": "rosbag2", ".ulg": "ulog", ".jsonl": "jsonl"},
 }
 
 
@@ -83,9 +89,11 @@ def guess(path: Path) -> str:
             return "lerobot"
         if (path / "data" / "main_data.hdf5").is_file() or (path / "data" / "metadata.json").is_file():
             return "minari"
+        if (path / "metadata.yaml").is_file() or any(path.glob("*.db3")):
+            return "rosbag2"
         raise RecordingError(
-            f"{path}: a folder, but no LeRobot dataset (meta/info.json) nor Minari dataset (data/main_data.hdf5); "
-            "name the files in it one by one"
+            f"{path}: a folder, but no LeRobot dataset (meta/info.json) nor Minari dataset (data/main_data.hdf5) "
+            "nor rosbag2 bag (metadata.yaml); name the files in it one by one"
         )
     if path.suffix.lower() not in SUFFIXES:
         raise RecordingError(f"{path}: the name does not tell its format; say --format {'|'.join(FORMATS)}")

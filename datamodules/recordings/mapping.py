@@ -23,6 +23,10 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 100.0
 SMALLEST_IMAGE, LARGEST_IMAGE = 16, 1024
 """Side of an image, pixels."""
 CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant")
+PARTS: dict[Callable[[str, str], Unit], tuple[int, ...]] = {
+    position_unit: (4, 7), velocity_unit: (3, 6), actuator_unit: (),
+}  # fmt: skip
+"""A list of so many columns, with no other key, is a ball or free joint's; another list names alternatives."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class Channel:
     Attributes:
         key: its place in the map, such as ``joints.hip.position``, for messages.
         columns: one column; several for a ball or free joint, in the model's order; none for a constant.
+        others: columns that are taken where a file does not have the one, the first that it has.
         unit: of the column.
         sign: 1 or -1.
         scale: further factor, for units that have no name here.
@@ -44,6 +49,12 @@ class Channel:
     sign: int = 1
     scale: float = 1.0
     offset: float = 0.0
+    others: tuple[str, ...] = ()
+
+    @property
+    def alternatives(self) -> tuple[tuple[str, ...], ...]:
+        """The columns, each with those that may stand in for it."""
+        return tuple((column, *self.others) for column in self.columns)
 
     @property
     def constant(self) -> bool:
@@ -94,13 +105,14 @@ class Mapping:
     Attributes:
         joints, actuators: by name, in the order of the map.
         time: column with the time of each row and its unit in s; None where ``dt`` is given.
+        other_times: columns of that unit that are taken where a file does not have the one.
         dt: period, s, of recordings without times.
         images: those of the robot; None if they are not wanted.
         infos: name to column, kept as it is.
         episodes: column that tells episodes apart; None: one recording is one episode.
         actions_at: ``start``: a row's command is held from that row to the next; ``end``: until that row.
         skip_rows, header, delimiter: how to read CSV.
-        clock: MCAP topic whose messages are the rows; None: that of the first mapped position.
+        clock: topic whose messages are the rows; None: that of the first mapped position.
         source: the map's file, for messages.
     """
 
@@ -117,6 +129,12 @@ class Mapping:
     delimiter: str | None = None
     clock: str | None = None
     source: str = "map"
+    other_times: tuple[str, ...] = ()
+
+    @property
+    def survey(self) -> bool:
+        """Whether it names no columns, because all of them are wanted."""
+        return not self.joints
 
     @property
     def velocities(self) -> list[Channel]:
@@ -124,16 +142,24 @@ class Mapping:
         measured = [joint.velocity for joint in self.joints.values() if joint.velocity is not None]
         return measured if len(measured) == len(self.joints) else []
 
-    def columns(self) -> Iterator[str]:
-        """Every column that the map names; the first is the first joint's position."""
+    def wanted(self) -> Iterator[tuple[str, ...]]:
+        """Every column that the map names, with its alternatives; the first is the first joint's position."""
         for joint in self.joints.values():
-            yield from joint.position.columns
+            yield from joint.position.alternatives
         for joint in self.joints.values():
-            yield from joint.velocity.columns if joint.velocity else ()
+            yield from joint.velocity.alternatives if joint.velocity else ()
         for channel in self.actuators.values():
-            yield from channel.columns
-        yield from self.infos.values()
-        yield from (c for c in (self.time and self.time[0], self.episodes) if c)
+            yield from channel.alternatives
+        yield from ((column,) for column in self.infos.values())
+        if self.time:
+            yield (self.time[0], *self.other_times)
+        if self.episodes:
+            yield (self.episodes,)
+
+    def columns(self) -> Iterator[str]:
+        """Every column that the map names, all alternatives too."""
+        for columns in self.wanted():
+            yield from columns
 
 
 def read_mapping(path: Path | str) -> Mapping:
@@ -170,7 +196,7 @@ def parse_mapping(content: Any, source: str = "map") -> Mapping:
 
 def _mapping(content: Any, source: str) -> Mapping:
     top = _section("the map", content, KEYS)
-    time, dt = _clock(top)
+    time, other_times, dt = _clock(top)
     joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
     if not any(not joint.position.constant for joint in joints.values()):
         raise RecordingError("joints: expected at least one joint with a position column; see docs/guide/import.md")
@@ -197,11 +223,12 @@ def _mapping(content: Any, source: str) -> Mapping:
         delimiter=delimiter,
         clock=clock,
         source=source,
+        other_times=other_times,
     )
 
 
-def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
-    """The time column with its unit [s], or the period [s]."""
+def _clock(top: dict) -> tuple[tuple[str, float] | None, tuple[str, ...], float | None]:
+    """The time column with its unit [s] and its alternatives, or the period [s]."""
     if ("time" in top) == ("dt" in top):
         came = "both" if "time" in top else "neither"
         raise RecordingError(
@@ -212,11 +239,12 @@ def _clock(top: dict) -> tuple[tuple[str, float] | None, float | None]:
         if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
             allowed = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} seconds"
             raise RecordingError(f"dt: expected a period of {allowed}, got {dt:g}")
-        return None, dt
+        return None, (), dt
     value = top["time"] if isinstance(top["time"], dict) else {"column": top["time"]}
     entry = _section("time", value, ("column", "unit"))
     unit = _text("time.unit", entry.get("unit", "s"))
-    return (_column("time.column", entry.get("column")), TIME[_one_of("time.unit", unit, tuple(TIME))]), None
+    column, *others = _columns("time.column", entry.get("column"))
+    return (column, TIME[_one_of("time.unit", unit, tuple(TIME))]), tuple(others), None
 
 
 def _images(value: Any) -> ImageColumn:
@@ -247,19 +275,18 @@ def _channel(key: str, value: Any, unit_of: Callable[[str, str], Unit]) -> Chann
         if len(entry) > 1:
             raise RecordingError(f"{key}: constant stands alone, in the model's unit; drop the other keys")
         return Channel(key, (), offset=_number(f"{key}.constant", entry["constant"]))
-    column = entry.get("column")
-    if isinstance(column, list):
-        if not column or len(entry) > 1:
-            raise RecordingError(f"{key}: a list of columns (ball or free joint) is in the model's units, column alone")
-        return Channel(key, tuple(_column(f"{key}.column", c) for c in column))
+    columns = _columns(f"{key}.column", entry.get("column"))
+    if len(entry) == 1 and len(columns) in PARTS[unit_of]:
+        return Channel(key, columns)
     unit = Unit() if entry.get("unit") is None else unit_of(_text(f"{key}.unit", entry["unit"]), f"{key}.unit")
     return Channel(
         key,
-        (_column(f"{key}.column", column),),
+        columns[:1],
         unit,
         _one_of(f"{key}.sign", entry.get("sign", 1), (1, -1)),
         _number(f"{key}.scale", entry.get("scale", 1.0)),
         _number(f"{key}.offset", entry.get("offset", 0.0)),
+        columns[1:],
     )
 
 
@@ -294,6 +321,15 @@ def _column(key: str, value: Any) -> str:
     if value is None:
         raise RecordingError(f"{key}: expected the name of a column, got nothing")
     return _text(key, value)
+
+
+def _columns(key: str, value: Any) -> tuple[str, ...]:
+    """One column, or a list of several."""
+    if not isinstance(value, list):
+        return (_column(key, value),)
+    if not value:
+        raise RecordingError(f"{key}: expected the name of a column or a list of names, got []")
+    return tuple(_column(key, name) for name in value)
 
 
 def _text(key: str, value: Any) -> str:

@@ -38,7 +38,11 @@ def _rows(imported: Imported, mapping: Mapping) -> list[Row]:
     rows = []
     for group, array, channels in groups:
         parts = [getattr(e, group)[array] if array else getattr(e, group) for e in imported.trajectories]
-        columns = [(name, channel, c) for name, channel in channels for c in channel.columns or ("constant",)]
+        columns = [
+            (name, channel, " or ".join(names))
+            for name, channel in channels
+            for names in channel.alternatives or (("constant",),)
+        ]
         for (name, channel, column), values in zip(columns, np.concatenate(parts).T, strict=True):
             rows.append(_row(name, channel, column, values))
     return rows

@@ -25,7 +25,7 @@ def read_csv(path: Path, mapping: Mapping) -> list[Recorded]:
     lines = _lines(path, mapping)
     first_line = lines[0][0]
     names = [name.strip() for name in lines[0][1]]
-    if mapping.header:
+    if mapping.header and not (mapping.survey and all(map(is_number, names))):
         names[0] = names[0].removeprefix("#").strip()
         lines = lines[1:]
         _check_header(path, mapping, names)

@@ -86,6 +86,14 @@ class Recorded:
         columns = {k: a[start : ends[len(a)]] for k, a in self.columns.items() if len(a) in ends}
         return replace(self, columns=columns, row_numbers=numbers[start:end])
 
+    def without(self, drop: list[int], of: int) -> Recorded:
+        """The rows but some, of ``of``; in a column that is one row shorter, the row from each row left to the next."""
+        left = np.delete(np.arange(of), drop)
+        index = {of: left, of - 1: left[:-1]}
+        numbers = np.arange(of) if self.row_numbers is None else self.row_numbers
+        columns = {k: a[index[len(a)]] for k, a in self.columns.items() if len(a) in index}
+        return replace(self, columns=columns, row_numbers=numbers[left])
+
     def split(self, name: str) -> list[Recorded]:
         """Episodes by a column that names them: rows with one value are one episode, in order of appearance."""
         ids = self.column(name, "episodes.column")

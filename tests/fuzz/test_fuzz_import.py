@@ -1,6 +1,8 @@
 # ruff: noqa: E501 (inputs are read best one a line)
 """`idapt import` and `idapt diagnose` refuse what cannot be right; what import accepts can be read and is finite."""
 
+import json
+
 import h5py
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import yaml
 from fuzzing import NO_YAML, assert_refused, attempt, damaged
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from datamodules.safe_yaml import read_yaml
 
 MODEL = """<mujoco><worldbody><body><joint name="w"/><geom size="1"/></body></worldbody>
 <actuator><motor name="m" joint="w"/></actuator></mujoco>"""
@@ -27,7 +30,10 @@ def folder(tmp_path):
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAP))
     (tmp_path / "model.xml").write_text(MODEL)
     rows = zip(*COLUMNS.values(), strict=True)
-    (tmp_path / "a.csv").write_text(",".join(COLUMNS) + "\n" + "\n".join(",".join(map(str, r)) for r in rows) + "\n")
+    rows = [dict(zip(COLUMNS, map(float, row), strict=True)) for row in rows]
+    lines = [",".join(map(str, row.values())) for row in rows]
+    (tmp_path / "a.csv").write_text(",".join(COLUMNS) + "\n" + "\n".join(lines) + "\n")
+    (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
     np.savez(tmp_path / "a.npz", **COLUMNS)
     return tmp_path
 
@@ -47,7 +53,7 @@ def assert_fine_or_refused(args, folder):
 
 
 def test_what_is_right_is_accepted(folder):
-    for recording in ("a.csv", "a.npz"):
+    for recording in ("a.csv", "a.npz", "a.jsonl"):
         assert attempt(imports(folder, "--model", "model.xml", recording=recording), folder)[0] == 0
         assert read_trajectories(folder / "out.h5").total_steps == ROWS - 1
 
@@ -59,7 +65,9 @@ def test_files_that_are_no_map(kind, folder):
 
 
 @pytest.mark.parametrize("kind", NO_YAML)
-@pytest.mark.parametrize("name", ["a.csv", "a.npz", "a.h5", "a.hdf5", "a.mcap", "a.parquet"])
+@pytest.mark.parametrize(
+    "name", ["a.csv", "a.npz", "a.h5", "a.hdf5", "a.mcap", "a.parquet", "a.db3", "a.ulg", "a.jsonl"]
+)
 def test_files_that_are_no_recording(kind, name, folder):
     (folder / name).write_bytes(NO_YAML[kind])
     assert_refused(imports(folder, recording=name), folder)
@@ -73,9 +81,9 @@ WRONG_MAPS = [
     "joints: {w: {position: {column: q, unit: 'counts:nan'}}}", "joints: {w: {position: {column: q, sign: 2}}}",
     "joints: {w: {position: {column: q, scale: .inf}}}", "joints: {w: {position: {column: q, offset: many}}}",
     "joints: {w: {position: {column: q, scale: 1e308, offset: 1e308}}}", "joints: {w: {position: {constant: 1}}}",
-    "joints: {w: {position: {column: [q, u]}}}", "joints: {w: {position: {column: []}}}", "joints: {x: {position: q}}",
+    "joints: {w: {position: {column: [a, b]}}}", "joints: {w: {position: {column: []}}}", "joints: {x: {position: q}}",
     "joints: {w: {position: {column: {a: 1}}}}", "actuators: {m: {column: u, scale: 1e300}}", "actuators: {}",
-    "actuators: {m: {column: u, unit: furlong}}", "actuators: {m: [u, q]}", "actuators: {n: u}", "infos: {a/b: u}",
+    "actuators: {m: {column: u, unit: furlong}}", "actuators: {m: [a, b]}", "actuators: {m: [[u]]}", "time: {column: [a, b]}", "time: {column: []}", "actuators: {n: u}", "infos: {a/b: u}",
     "infos: {'': u}", "infos: {a: nothing}", "infos: [u]", "infos: {.: u}", "infos: {a: {b: c}}", "episodes: t",
     "episodes: {column: t}", "episodes: {column: nothing}", "episodes: {}", "actions_at: middle", "skip_rows: -1",
     "skip_rows: 1000000000000", "skip_rows: 1e12", "skip_rows: x", "header: perhaps", "header: false",
@@ -111,11 +119,24 @@ def test_tables_that_cannot_be_right(number, folder):
 
 
 @pytest.mark.parametrize("seed", range(40))
-@pytest.mark.parametrize("name", ["map.yaml", "a.csv", "a.npz", "model.xml"])
+@pytest.mark.parametrize("name", ["map.yaml", "a.csv", "a.npz", "a.jsonl", "model.xml"])
 def test_damaged_inputs(name, seed, folder):
     (folder / name).write_bytes(damaged((folder / name).read_bytes(), seed))
-    recording = "a.npz" if name == "a.npz" else "a.csv"
-    assert_fine_or_refused(imports(folder, "--model", "model.xml", recording=recording), folder)
+    recording = name if name.startswith("a.") else "a.csv"
+    options = ["--model", "model.xml", *["--repair"] * (seed % 2)]
+    assert_fine_or_refused(imports(folder, *options, recording=recording), folder)
+
+
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("name", ["a.csv", "a.npz", "a.jsonl", "model.xml"])
+def test_drafts_of_damaged_inputs(name, seed, folder):
+    """Refused, or a draft that is a map or says in comments what it lacks."""
+    (folder / name).write_bytes(damaged((folder / name).read_bytes(), seed))
+    recording = name if name.startswith("a.") else "a.csv"
+    code, said = attempt(["import", recording, "--draft-map", "d.yaml", "--model", "model.xml"], folder)
+    assert code in (0, 1) and len(said.splitlines()) <= 3 and (folder / "d.yaml").exists() == (code == 0), said
+    if code == 0:
+        assert set(read_yaml(folder / "d.yaml")) <= {"time", "joints", "actuators", "episodes", "header", "skip_rows"}
 
 
 @pytest.mark.parametrize("args", [
@@ -127,7 +148,12 @@ def test_damaged_inputs(name, seed, folder):
     ["import", "a.csv", "--map", "map.yaml", "--model", "model.xml", "--out", "./x/../model.xml"],
     ["import", "a.csv", "--map", "map.yaml", "--out", "a.csv/o.h5"], ["import", "a.csv", "--map", "map.yaml", "--out", "."],
     ["import", "a.csv", "--map", "map.yaml", "--out", ""], ["import", "a.csv", "--map", "map.yaml", "--format", "xls", "--dry-run"],
-    *(["import", "a.csv", "--map", "map.yaml", "--format", f, "--out", "o.h5"] for f in ("npz", "minari", "lerobot", "mcap")),
+    *(["import", "a.csv", "--map", "map.yaml", "--format", f, "--out", "o.h5"] for f in ("npz", "minari", "lerobot", "mcap", "rosbag2", "ulog", "jsonl")),
+    ["import", "a.csv", "--map", "map.yaml", "--draft-map", "d.yaml", "--model", "model.xml"],
+    ["import", "a.csv", "--draft-map", "d.yaml"], ["import", "a.csv", "--draft-map", "map.yaml", "--model", "model.xml"],
+    ["import", "none.csv", "--draft-map", "d.yaml", "--model", "model.xml"], ["import", "a.csv", "--draft-map", "a.csv/d.yaml", "--model", "model.xml"],
+    ["import", "a.csv", "--draft-map", "d.yaml", "--model", "none.xml"], ["import", "a.csv", "--draft-map", "d.yaml", "--model", "model.xml", "--out", "o.h5"],
+    ["import", ".", "--draft-map", "d.yaml", "--model", "model.xml"], ["import", "a.csv", "--draft-map", ".", "--model", "model.xml"],
     ["import", "door/human-v2", "--map", "map.yaml", "--out", "o.h5"], ["import", "a.csv", "--map", "map.yaml", "--model", "a.csv", "--out", "o.h5"],
     ["import", "\x00", "--map", "map.yaml", "--out", "o.h5"], ["import", "x" * 5000, "--map", "map.yaml", "--out", "o.h5"],
 ])  # fmt: skip
