@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from idapt_pl.deployment_faults.forecast import Forecaster, Signals, Starts, forecast, gather
+from idapt_pl.deployment_faults.forecast import RecordingForecasts, Signals, Starts, forecast, gather
 from idapt_pl.deployment_faults.mend import Mend
 
 FURTHEST = 16
@@ -45,7 +45,7 @@ class Influence:
         return int(self.late[np.argmin(self.unexplained)])
 
 
-def measure_influence(forecaster: Forecaster, mend: Mend, starts: Starts) -> Influence:
+def measure_influence(forecaster: RecordingForecasts, mend: Mend, starts: Starts) -> Influence:
     """Regress what the motion needs on the recorded commands, at each shift in time.
 
     Args:

@@ -35,11 +35,6 @@ class FaultKind(StrEnum):
     COMMAND_UNIT = "command_unit"
     COMMAND_CLOCK = "command_clock"
 
-    @property
-    def theme(self) -> str:
-        """What it is about, as alternatives name it."""
-        return {"joint_order": "order of the", "command_order": "order of the"}.get(self.value, self.value)
-
 
 @dataclass(frozen=True)
 class DeploymentFault:

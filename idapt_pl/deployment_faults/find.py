@@ -13,7 +13,7 @@ from datamodules import Trajectories
 from idapt_pl.deployment_faults.commands import Influence, measure_influence
 from idapt_pl.deployment_faults.components import faults_of
 from idapt_pl.deployment_faults.fault import DeploymentFault, FaultKind, FaultReport
-from idapt_pl.deployment_faults.forecast import Forecaster, Gain, Starts, gain_between
+from idapt_pl.deployment_faults.forecast import Gain, RecordingForecasts, Starts, gain_between
 from idapt_pl.deployment_faults.hypotheses import (
     Hypothesis,
     command_hypotheses,
@@ -35,10 +35,13 @@ LEAST_GAIN = 0.7
 SIGMAS = 4.0
 """Standard errors that a gain must be above nothing, on episodes that the mend was chosen on and on the others."""
 
+EQUALLY_GOOD = 0.05
+"""Logs of squared misses, summed over degrees of freedom, that differ by less say nothing."""
+
 MOST_ROUNDS = 12
 """Mends that are taken one after the other at most."""
 
-SCREENED, REFINED = 80, 4
+SCREENED, REFINED = 48, 6
 """Forecasts by which hypotheses are ranked, and how many of the best are looked at with all of them."""
 
 SMALL_DELAY, SMALL_DELAY_STEPS = 0.1, 3
@@ -59,7 +62,7 @@ class FaultSearch:
         measured: whether velocities were measured.
     """
 
-    forecaster: Forecaster
+    forecaster: RecordingForecasts
     fit: Starts
     held_out: Starts
     measured: bool
@@ -67,7 +70,7 @@ class FaultSearch:
     @classmethod
     def of(cls, model: mujoco.MjModel, data: Trajectories, measured: bool, period: float, seed: int) -> FaultSearch:
         """A search in a recording whose control period is off by a factor."""
-        forecaster = Forecaster(model, data, period, seed=seed)
+        forecaster = RecordingForecasts(model, data, period, seed=seed)
         starts, even = forecaster.starts, forecaster.starts.block % 2 == 0
         return cls(forecaster, starts[even], starts[~even], measured)
 
@@ -80,11 +83,11 @@ class FaultSearch:
         """Joints that move."""
         return self.forecaster.joints.moving(np.concatenate([s.qpos for s in self.forecaster.signals(mend)]))
 
-    def best(self, hypotheses: Sequence[Hypothesis], starts: Starts | None = None) -> Hypothesis:
-        """The hypothesis under which forecasts miss least; the first of those that are equally good."""
+    def best(self, hypotheses: Sequence[Hypothesis], starts: Starts | None = None) -> list[Hypothesis]:
+        """The hypotheses under which forecasts miss least, in their order: those that are equally good."""
         starts = self.fit if starts is None else starts
         loss = [np.log(self.forecaster.misses(h.mend, starts).mean(0) + 1e-9).sum() for h in hypotheses]
-        return hypotheses[int(np.argmax(np.array(loss) < min(loss) + 0.05))]
+        return [h for h, x in zip(hypotheses, loss, strict=True) if x < min(loss) + EQUALLY_GOOD]
 
 
 def find_deployment_faults(
@@ -112,8 +115,8 @@ def find_deployment_faults(
     if repeats:
         found.append(repeated_samples(repeats, sum(len(e) + 1 for e in trajectories)))
     mend = Mend.nothing(compiled)
-    search = FaultSearch.of(compiled, data, measured, 1.0, seed)
-    if min(len(search.fit), len(search.held_out)) >= FEWEST_STARTS and data.dt > 0:
+    search = FaultSearch.of(compiled, data, measured, 1.0, seed) if 0 < data.dt < np.inf else None
+    if search and min(len(search.fit), len(search.held_out)) >= FEWEST_STARTS:
         mend, others = find_mend(search, mend, progress)
         search = FaultSearch.of(compiled, data, measured, mend.period, seed + 1)
         mend = keep_certain(search, mend)
@@ -128,14 +131,13 @@ def repeated_samples(count: int, rows: int) -> DeploymentFault:
 
 def find_mend(
     search: FaultSearch, mend: Mend, progress: Callable[[str, float], None]
-) -> tuple[Mend, list[tuple[Mend, str]]]:
-    """What makes forecasts surely and much better, one after the other, and what each could also be."""
+) -> tuple[Mend, list[tuple[str, str]]]:
+    """What makes forecasts surely and much better, one after the other; and what was taken for what else, in words."""
     progress("faults: velocities", 0.0)
-    others: list[tuple[Mend, str]] = []
+    others: list[tuple[str, str]] = []
     joints = search.forecaster.joints
     if search.measured and len(moving := search.moving(mend)):
-        mend, words = velocity_mend(mend, search.forecaster.signals, joints, moving, search.best)
-        others += [(mend, w) for w in words]
+        mend, others = velocity_mend(mend, search.forecaster.signals, joints, moving, search.best)
         if mend.period != 1.0:
             f = search.forecaster
             search = FaultSearch.of(f.model, f.data, True, mend.period, 0)
@@ -144,7 +146,7 @@ def find_mend(
         step = next_mend(search, mend)
         if step is None:
             break
-        others += [(step[0].mend, words) for words in step[1]]
+        others += [(step[0].words, words) for words in step[1]]
         mend = step[0].mend
     return mend, others
 
@@ -206,7 +208,7 @@ def choose_mend(
         """The mend with the delay or without it, whichever forecasts better: a fault may look like a delay."""
         if m.u_late != now.u_late or not any(delay):
             return m
-        return search.best([Hypothesis("", m), Hypothesis("", m.delayed_commands(delay))], few).mend
+        return search.best([Hypothesis("", m), Hypothesis("", m.delayed_commands(delay))], few)[0].mend
 
     base = misses(delayed(now), few)
     scores = [gain_between(base, misses(delayed(h.mend), few), few.block).log_ratio for h in tried]
@@ -245,7 +247,7 @@ def keep_certain(search: FaultSearch, mend: Mend) -> Mend:
     return mend
 
 
-def measured_faults(search: FaultSearch, mend: Mend, others: list[tuple[Mend, str]]) -> list[DeploymentFault]:
+def measured_faults(search: FaultSearch, mend: Mend, others: list[tuple[str, str]]) -> list[DeploymentFault]:
     """The faults that a mend takes out, with what each of them is worth."""
     found = []
     for part in faults_of(mend, search.forecaster.model, search.measured, search.forecaster.data.dt):
@@ -260,10 +262,18 @@ def measured_faults(search: FaultSearch, mend: Mend, others: list[tuple[Mend, st
     return with_alternatives(found, others)
 
 
-def with_alternatives(found: list[DeploymentFault], others: list[tuple[Mend, str]]) -> list[DeploymentFault]:
-    """Faults with what they could also be: of the alternatives, those that name one of their targets or their kind."""
-    out = []
-    for fault in found:
-        also = {w for _, w in others if any(f" {t}" in f"{w} " for t in fault.targets) or fault.kind.theme in w}
-        out.append(replace(fault, could_also_be=tuple(sorted(also))))
-    return out
+def with_alternatives(found: list[DeploymentFault], others: list[tuple[str, str]]) -> list[DeploymentFault]:
+    """Faults with what they could also be.
+
+    Args:
+        found: the faults.
+        others: what was taken, and what was as good, in words.
+    """
+    also = [tuple(sorted({other for taken, other in others if is_told_by(f, taken)})) for f in found]
+    return [replace(f, could_also_be=a) for f, a in zip(found, also, strict=True)]
+
+
+def is_told_by(fault: DeploymentFault, words: str) -> bool:
+    """Whether a hypothesis in words is about a fault."""
+    about = all(part in words for part in fault.kind.value.replace("velocity", "velocit").split("_"))
+    return about and (fault.targets == ("*",) or " the " in words or any(t in words for t in fault.targets))

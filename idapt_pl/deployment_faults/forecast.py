@@ -6,6 +6,8 @@ that recordings in other units can be compared, and a mend gains nothing by maki
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import mujoco
@@ -16,12 +18,12 @@ from datamodules import Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.diagnosis.data import measured_signals, slopes
-from idapt_pl.diagnosis.simulator import silence_mujoco
+from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
 
 FORECAST_TIME = 0.06
 """Seconds that a forecast looks ahead, about: longer than a small delay, shorter than what errors of contacts need."""
 
-MOST_STEPS = 4
+MOST_FORECAST_STEPS = 4
 """Control steps that it looks ahead at most."""
 
 MOST_PHYSICS_STEPS = 60
@@ -32,8 +34,6 @@ CAP = 3.0
 
 MARGIN = 18
 """Control steps at either end of an episode in which no forecast begins or ends, as a shift may use them up."""
-
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def choose_starts(lengths: list[int], steps: int, limit: int, seed: int) -> Star
     return every[np.sort(rng.choice(len(every), limit, replace=False))]
 
 
-class Forecaster:
+class RecordingForecasts:
     """Forecasts of a recording by a model, under mends.
 
     Args:
@@ -118,7 +118,7 @@ class Forecaster:
         self.model, self.data = model, data
         self.joints = ScalarJoints.of(model)
         self.simulated = mujoco.MjData(model)
-        self.steps = int(np.clip(round(FORECAST_TIME / max(data.dt * period, 1e-6)), 1, MOST_STEPS))
+        self.steps = int(np.clip(round(FORECAST_TIME / max(data.dt * period, 1e-6)), 1, MOST_FORECAST_STEPS))
         self.starts = choose_starts([len(e) for e in data], self.steps, limit, seed)
 
     def signals(self, mend: Mend) -> list[Signals]:
@@ -168,22 +168,19 @@ def forecast(
     start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
     if model.na and nu == model.na:
         start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
-    with timestep(model, period / each), silence_mujoco():
+    with other_timestep(model, period / each), silence_mujoco():
         states, _ = rollout.rollout(model, data, start, np.repeat(controls, each, 1), nstep=steps * each)
     return states[:, -1, 1 + model.nq : 1 + model.nq + model.nv]
 
 
-class timestep:
+@contextmanager
+def other_timestep(model: mujoco.MjModel, value: float) -> Iterator[None]:
     """Another time step for a while."""
-
-    def __init__(self, model: mujoco.MjModel, value: float) -> None:
-        self.model, self.value, self.before = model, value, model.opt.timestep
-
-    def __enter__(self) -> None:
-        self.model.opt.timestep = self.value
-
-    def __exit__(self, *error: object) -> None:
-        self.model.opt.timestep = self.before
+    before, model.opt.timestep = model.opt.timestep, value
+    try:
+        yield
+    finally:
+        model.opt.timestep = before
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from idapt_pl.deployment_faults.commands import Influence
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Mend
-from idapt_pl.deployment_faults.units import ANGLES, FORCES, LENGTHS, SPEEDS, TOLERANCE, nearest_unit
+from idapt_pl.deployment_faults.units import ANGLES, FORCES, LENGTHS, SPEEDS, UNIT_TOLERANCE, nearest_unit
 
 MOST_SWAPS = 36
 """Pairs of joints whose exchange is tried."""
@@ -72,7 +72,7 @@ def command_units(mend: Mend, model: mujoco.MjModel, measured: dict[int, float])
     for name in sorted(shared):
         factors = {i: known[i][name] for i in known}
         off = [abs(np.log(measured[i] / f)) for i, f in factors.items()]
-        if len(factors) > 1 and np.median(off) < np.log(TOLERANCE) and max(off) < 3 * np.log(TOLERANCE):
+        if len(factors) > 1 and np.median(off) < np.log(UNIT_TOLERANCE) and max(off) < 3 * np.log(UNIT_TOLERANCE):
             every = {i: units_of_command(model, i).get(name, 1.0) for i in range(model.nu)}
             yield Hypothesis(f"unit of all commands ({name})", scaled_all(mend, every))
     for i, units in known.items():

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
-from idapt_pl.deployment_faults.forecast import Forecaster, Starts
+from idapt_pl.deployment_faults.forecast import RecordingForecasts, Starts
 from idapt_pl.deployment_faults.hypotheses import Hypothesis
 from idapt_pl.deployment_faults.mend import Mend
 
@@ -23,7 +23,7 @@ GROUPS = 4
 """Parts of the recording that offsets are estimated from for an interval."""
 
 
-def refine_offset(forecaster: Forecaster, hypothesis: Hypothesis, starts: Starts) -> Hypothesis:
+def refine_offset(forecaster: RecordingForecasts, hypothesis: Hypothesis, starts: Starts) -> Hypothesis:
     """A hypothesis about a joint's zero where it fits best; others as they are."""
     if hypothesis.offset_of is None:
         return hypothesis
@@ -31,7 +31,7 @@ def refine_offset(forecaster: Forecaster, hypothesis: Hypothesis, starts: Starts
     return replace(hypothesis, mend=hypothesis.mend.moved_joint(forecaster.joints, hypothesis.offset_of, by))
 
 
-def best_offset(forecaster: Forecaster, mend: Mend, joint: int, starts: Starts) -> float:
+def best_offset(forecaster: RecordingForecasts, mend: Mend, joint: int, starts: Starts) -> float:
     """What to add to a joint's offset, rad."""
 
     def loss(by: float) -> float:
@@ -47,7 +47,7 @@ def small_offset(mend: Mend, now: Mend) -> bool:
     return any(0 < abs(a - b) < SMALLEST_OFFSET for a, b in zip(mend.q_offset, now.q_offset, strict=True))
 
 
-def offset_interval(forecaster: Forecaster, mend: Mend, name: str) -> tuple[float, float]:
+def offset_interval(forecaster: RecordingForecasts, mend: Mend, name: str) -> tuple[float, float]:
     """95 % interval of a joint's offset [rad], from estimates in parts of the recording."""
     j, starts = forecaster.joints.names.index(name), forecaster.starts
     parts: Sequence[np.ndarray] = [np.flatnonzero(starts.block % GROUPS == g) for g in range(GROUPS)]

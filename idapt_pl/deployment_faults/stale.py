@@ -13,7 +13,7 @@ from idapt_pl.diagnosis.data import measured_signals
 LEAST_JUMP = 5.0
 """A repeat counts where the mechanism moves by so many of the smallest steps that positions show, before and after."""
 
-FEWEST = 3
+FEWEST_REPEATS = 3
 """Repeats that are worth a word."""
 
 
@@ -49,11 +49,11 @@ def without_stale_rows(model: mujoco.MjModel, data: Trajectories) -> tuple[Traje
     """The recording with repeated samples interpolated between their neighbours, and how many there were.
 
     The first sample of a run of equal ones is taken for the measured one. Where there are fewer than
-    ``FEWEST``, nothing is changed.
+    ``FEWEST_REPEATS``, nothing is changed.
     """
     rows = [stale_rows(model, f"episode_{i}", e) for i, e in enumerate(data)]
     count = sum(map(len, rows))
-    if count < FEWEST:
+    if count < FEWEST_REPEATS:
         return data, 0
     episodes = tuple(interpolated(e, r) for e, r in zip(data, rows, strict=True))
     return replace(data, episodes=episodes), count

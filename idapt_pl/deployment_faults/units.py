@@ -22,14 +22,14 @@ SPEEDS = ANGLES | {"rpm": 2 * np.pi / 60}
 FORCES = {"thousandths": 1e-3, "per cent": 1e-2}
 """Likewise of a motor's command to its share of the largest; that of a servo is an angle or a speed."""
 
-TOLERANCE = 1.4
+UNIT_TOLERANCE = 1.4
 """A measured factor may be off by so much from that of a unit: there may be an effect beside it."""
 
 PERIODS = (1e-3, 1e-2, 0.1, 0.2, 0.25, 1 / 3, 0.5, 2.0, 3.0, 4.0, 5.0, 10.0, 100.0, 1e3)
 """Usual factors between a control period and what it was taken for."""
 
 
-def nearest_unit(factor: float, units: dict[str, float], tolerance: float = TOLERANCE) -> tuple[str, float] | None:
+def nearest_unit(factor: float, units: dict[str, float], tolerance: float = UNIT_TOLERANCE) -> tuple[str, float] | None:
     """The unit whose factor is nearest to a measured one, and that factor; None where none is near.
 
     A factor that is nearer to 1 than to any unit is none of a unit.

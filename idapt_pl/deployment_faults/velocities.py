@@ -10,27 +10,30 @@ import numpy as np
 from idapt_pl.deployment_faults.forecast import Signals
 from idapt_pl.deployment_faults.hypotheses import Hypothesis
 from idapt_pl.deployment_faults.joints import ScalarJoints
-from idapt_pl.deployment_faults.kinematics import Agreement, compare_velocities
+from idapt_pl.deployment_faults.kinematics import CLEAR, Agreement, compare_velocities
 from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.units import ANGLES, LENGTHS, SPEEDS, nearest_unit, usual_period
 
 OTHER_PERIOD = 1.2
 """A common ratio of velocities and slopes further from 1 than this is no matter of sampling."""
 
-ALIKE = 1.3
+ALIKE_RATIOS = 1.3
 """Ratios of all joints are taken to be one if none is further from their median than this factor."""
+
+BETTER = 0.1
+"""By how much more another slope must explain of a velocity for it to be out of order."""
 
 LATEST_FILTER = 3
 """Velocities that come later than positions by fewer control steps may be filtered, which is no fault."""
 
-Choose = Callable[[Sequence[Hypothesis]], Hypothesis]
-"""The best of several, by forecasts."""
+Choose = Callable[[Sequence[Hypothesis]], list[Hypothesis]]
+"""Those of several that are equally good by forecasts, the one to take first."""
 
 
 def velocity_mend(
     mend: Mend, signals_of: Callable[[Mend], list[Signals]], joints: ScalarJoints, moving: list[int], choose: Choose
-) -> tuple[Mend, list[str]]:
-    """What must be done so that velocities are slopes of positions, and what else might be wrong instead, in words.
+) -> tuple[Mend, list[tuple[str, str]]]:
+    """What must be done so that velocities are slopes of positions; and what was taken for what else, in words.
 
     Args:
         mend: to begin with.
@@ -39,11 +42,11 @@ def velocity_mend(
         moving: joints that move.
         choose: between alternatives that agree equally well.
     """
-    others: list[str] = []
+    others: list[tuple[str, str]] = []
 
     def decide(alternatives: list[Hypothesis]) -> Mend:
-        best = choose(alternatives)
-        others.extend(h.words for h in alternatives if h is not best)
+        best, *as_good = choose(alternatives)
+        others.extend((best.words, h.words) for h in as_good)
         return best.mend
 
     found = compare_velocities(signals_of(mend), joints, moving)
@@ -62,7 +65,7 @@ def other_order(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list
     """Velocities, or positions, in another order; nothing where they go along as they are."""
     squares = np.square(found.correlation)
     moved = [i for i in range(len(moving)) if found.partner[i] != i]
-    if not moved or any(squares[i, found.partner[i]] < 0.8 or squares[i, i] > 0.5 for i in moved):
+    if not moved or any(squares[i, found.partner[i]] < max(CLEAR**2, squares[i, i] + BETTER) for i in moved):
         return []
     of_velocities, of_positions = (list(range(len(joints))) for _ in range(2))
     for i in moved:
@@ -81,7 +84,7 @@ def one_factor(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[
     if not len(ratios) or (ratios < 0).any():
         return []
     common = float(np.median(ratios))
-    if max(common, 1 / common) < OTHER_PERIOD or np.abs(np.log(ratios / common)).max() > np.log(ALIKE):
+    if max(common, 1 / common) < OTHER_PERIOD or np.abs(np.log(ratios / common)).max() > np.log(ALIKE_RATIOS):
         return []
     made = [Hypothesis("control period", replace(mend, period=mend.period * usual_period(1 / common)))]
     velocities, positions = mend, mend
@@ -145,8 +148,10 @@ def factor_of_position(ratio: float, hinge: bool) -> float | None:
 def other_time(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int]) -> Mend:
     """Velocities that come too early, or much too late, moved to where the positions are."""
     late = list(mend.v_late)
-    for n, j in enumerate(moving):
-        s = int(found.late[n])
-        if found.clear[n] and (s < 0 or s >= LATEST_FILTER):
+    shifts = {int(found.late[n]) for n in range(len(moving)) if found.clear[n]}
+    everywhere = len(shifts) == 1  # joints that do not move share the clock
+    for j in range(len(joints)) if everywhere else [j for n, j in enumerate(moving) if found.clear[n]]:
+        s = shifts.copy().pop() if everywhere else int(found.late[moving.index(j)])
+        if s < 0 or s >= LATEST_FILTER:
             late[joints.v[j]] -= s
     return replace(mend, v_late=tuple(late))
