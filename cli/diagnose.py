@@ -5,6 +5,10 @@ wrong is traced to an effect (friction, mass, delay, ...) by switching every eff
 best and judging them on episodes that nothing was fitted to. DIR then holds report.html (start
 there), report.json, patched.xml (the repaired model), effects.yaml and TensorBoard events.
 
+Before any physics the recordings are tested for deployment faults: channels in another order, with
+another sign, unit, zero or clock, a wrong control period, repeated samples. They are reported with
+their cure; --fix takes them out, writes DIR/mended.h5 and goes on with that.
+
 With --run, recordings of images are read by the estimator of a run of idapt fit. Where that cannot
 tell how fast things move, no windows are replayed: the recordings' commands are played from resets,
 and effects are judged by how well that forecasts what is read (minutes, not seconds).
@@ -29,7 +33,8 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import keep_inputs, parser, show_bar
 from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
-from datamodules import read_trajectories
+from datamodules import Trajectories, read_trajectories, write_trajectories
+from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
@@ -43,6 +48,7 @@ from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
+from idapt_pl.report.fault_section import fault_sentences
 from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.run import Run
 
@@ -50,6 +56,7 @@ EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fit 0 1 2 --hold-out 3
   idapt diagnose --model nominal.xml --data measured.h5 --out again --effects diagnosis/effects.yaml
+  idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fix
   idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
       --candidates joint_damping joint_frictionloss joint_stribeck
   idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
@@ -61,7 +68,7 @@ EXAMPLES = """examples:
     parameters: {damping: 0.06}
 """
 
-WRITTEN = ("report.html", "report.json", "effects.yaml", "patched.xml", "looks.yaml", "looks.png")
+WRITTEN = ("report.html", "report.json", "effects.yaml", "patched.xml", "looks.yaml", "looks.png", "mended.h5")
 """Files in the folder that a diagnosis writes."""
 
 
@@ -72,6 +79,9 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
     p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos (or images) and actions")
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
+    p.add_argument(
+        "--fix", action="store_true", help="take deployment faults out of the recordings first (DIR/mended.h5)"
+    )
     p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")
     p.add_argument("--fit", type=int, nargs="+", metavar="EPISODE", help="episodes to fit on (default: the others)")
     p.add_argument(
@@ -110,6 +120,8 @@ def main(args: list[str]) -> int:
         p.error("give either --model (recordings of positions) or --run (recordings of images)")
     if o.looks and o.run is None:
         p.error("--looks compares images with what the source of a run shows: give --run")
+    if o.fix and o.run is not None:
+        p.error("--fix mends recordings of positions: give --model, not --run")
     if o.run is None:
         model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
     else:
@@ -123,7 +135,10 @@ def main(args: list[str]) -> int:
     if o.run is not None and images.readings.calibration.velocities_unreliable:
         print_forecast_diagnosis(diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
+    faults = None
     try:
+        if o.run is None:
+            trajectories, faults = without_faults(model, trajectories, o)
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
@@ -131,9 +146,31 @@ def main(args: list[str]) -> int:
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None
-    write_diagnosis(diagnosis, o.out, (o.model or o.run).name, o.data.name)
+    fixed = o.fix and faults is not None and bool(faults.faults)
+    write_diagnosis(diagnosis, o.out, (o.model or o.run).name, o.data.name, faults, fixed)
+    if fixed:
+        write_trajectories(o.out / "mended.h5", trajectories)
     print_diagnosis(diagnosis, o.out)
     return 0
+
+
+def without_faults(model: mujoco.MjSpec, data: Trajectories, o: argparse.Namespace) -> tuple[Trajectories, FaultReport]:
+    """Test for deployment faults and say what was found; with ``--fix``, the mended recordings.
+
+    Raises:
+        UnusableData: the recordings do not fit the model.
+        ValueError: an episode is too short for a shift that would mend it.
+    """
+    with progress_bar() as progress:
+        faults = find_deployment_faults(model, data, o.seed, progress)
+    for sentence in fault_sentences(faults, o.fix):
+        Console().print(escape(sentence), soft_wrap=True, highlight=False)
+    if not o.fix:
+        return data, faults
+    try:
+        return faults.fixed(data), faults
+    except ValueError as error:
+        raise ValueError(f"{o.data}: --fix: {error}") from None
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:

@@ -8,6 +8,7 @@ import mujoco
 from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
 
+from idapt_pl.deployment_faults import FaultReport
 from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
@@ -15,9 +16,17 @@ from idapt_pl.files import write_atomically, write_json, write_yaml
 from idapt_pl.report.diagnosis_figures import diagnosis_figures
 from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
+from idapt_pl.report.fault_section import fault_section
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, model_name: str, data_name: str) -> None:
+def write_diagnosis(
+    diagnosis: Diagnosis,
+    folder: Path,
+    model_name: str,
+    data_name: str,
+    faults: FaultReport | None = None,
+    fixed: bool = False,
+) -> None:
     """Write everything a diagnosis leaves behind.
 
     Args:
@@ -25,15 +34,18 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, model_name: str, data_na
         folder: made if it is not there; also TensorBoard's log folder.
         model_name: of the nominal model, for the page's title.
         data_name: of the recordings.
+        faults: of the recordings, where they were tested for.
+        fixed: whether the diagnosis is of the mended recordings.
 
     Raises:
         RuntimeError: the repaired model does not load from ``folder``.
     """
-    write_json(folder / "report.json", diagnosis.report)
+    tested = {} if faults is None else {"deployment_faults": faults.to_dict(fixed)}
+    write_json(folder / "report.json", diagnosis.report | tested)
     write_yaml(folder / "effects.yaml", [e.to_dict() for e in accepted_effects(diagnosis)])
     repaired = repair_model(diagnosis.sim.spec, diagnosis.effects, folder)
     drawn = diagnosis_figures(diagnosis)
-    html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name)
+    html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name, fault_section(faults, fixed))
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))

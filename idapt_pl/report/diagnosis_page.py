@@ -29,12 +29,14 @@ TONES = {
 
 
 def diagnosis_page(
-    diagnosis: Diagnosis, repaired: RepairedModel, drawn: dict[str, Figure], model_name: str, data_name: str
-) -> str:
-    """The whole page."""
+    diagnosis: Diagnosis, repaired: RepairedModel, drawn: dict[str, Figure], model_name: str, data_name: str,
+    faults: str = "",
+) -> str:  # fmt: skip
+    """The whole page; ``faults`` is the section about the recordings' own faults."""
     result, model = diagnosis.result, diagnosis.sim.model
     sections = [
         verdict_header(result, model, model_name, data_name),
+        faults,
         error_section(result),
         effects_section(result, model),
         signature_section(result),
