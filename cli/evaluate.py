@@ -155,10 +155,10 @@ def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysi
     """A grounding step's policy on states by physics. Its step's recordings say how wrong readings are."""
     folder, policy = checkpoint.parent.parent, run.load_policy(checkpoint)
     target, known = read_all([folder / "target.h5"]), folder / "translated.h5"
-    smooth, recordings = smoother_of(run.context, target, known, policy.actor.encoder, None)
+    smooth, recordings, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
     smooth = replace(smooth, members=members)
-    found = smooth.misfits_by_factor(recordings, seed=0)
-    return ActingByPhysics(policy, smooth.supposing(min(found, key=found.__getitem__)))
+    errors = smooth.forecast_errors(recordings, scale, seed=0)
+    return ActingByPhysics(policy, smooth.supposing(min(errors, key=errors.__getitem__)))
 
 
 def finished_policies(run: Run) -> list[tuple[str, Path]]:

@@ -51,7 +51,7 @@ class ActingByPhysics(Acting):
     def _estimate(self, i: int, reading: np.ndarray) -> np.ndarray:
         known, played = self._filters[i], self._played[i]
         known.begin_episode(reading) if played is None else known.play(played)
-        self._lost += known.take_in(reading)[2]
+        self._lost += known.take_in(reading)[1]
         self._steps += 1
         return known.past[-1].mean(0)
 

@@ -44,13 +44,11 @@ class Smoothed:
     Attributes:
         states: the smoothed ones, (T+1, s).
         surprise: readings less what was to be expected before they came, (T+1, s).
-        usual: standard deviation that surprises were expected to have, of ensemble and readings, (T+1, s).
         lost: where the ensemble had lost the state and began anew, bool (T+1,).
     """
 
     states: np.ndarray
     surprise: np.ndarray
-    usual: np.ndarray
     lost: np.ndarray
 
 
@@ -102,16 +100,14 @@ class EnsembleFilter:
         after = after + self.expected.drift * self._rng.normal(size=after.shape)
         self._guesses = after.mean(0) + SPREAD * (after - after.mean(0))
 
-    def take_in(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    def take_in(self, reading: np.ndarray) -> tuple[np.ndarray, bool]:
         """A reading (s,) has come. Returns how far it is from what was expected, (s,), and whether the state was lost.
-
-        Between the two is how far it should have been, (s,), as a standard deviation.
 
         Where it was the ensemble begins anew with the reading.
         """
         seen = self.ensemble.states(self._guesses)
-        surprise, usual = reading - seen.mean(0), np.sqrt(seen.var(0) + np.square(self.expected.error))
-        lost = not self._is_read and is_lost(surprise, usual)
+        surprise = reading - seen.mean(0)
+        lost = not self._is_read and self._is_lost(surprise, seen)
         if lost:
             self.begin(reading)
             seen = self.ensemble.states(self._guesses)
@@ -120,22 +116,22 @@ class EnsembleFilter:
         self._is_read = False
         self._guesses, flat = np.split(better, [self._guesses.shape[1]], axis=1)
         self.past = list(np.split(flat, len(past), axis=1))
-        return surprise, usual, lost
+        return surprise, lost
 
-
-def is_lost(surprise: np.ndarray, usual: np.ndarray) -> bool:
-    """Whether a reading (s,) is further from what is expected than can be."""
-    return bool(np.mean(np.minimum(np.abs(surprise) / usual, 3 * FARTHEST_OFF)) > FARTHEST_OFF)
+    def _is_lost(self, surprise: np.ndarray, seen: np.ndarray) -> bool:
+        """Whether a reading is further from what is expected than can be."""
+        usual = np.sqrt(seen.var(0) + np.square(self.expected.error))
+        return bool(np.mean(np.minimum(np.abs(surprise) / usual, 3 * FARTHEST_OFF)) > FARTHEST_OFF)
 
 
 def smooth_episode(known: EnsembleFilter, readings: np.ndarray, actions: np.ndarray) -> Smoothed:
     """A whole episode through a filter: readings of the state (T+1, s), actions between them (T, nu)."""
-    states, surprise, usual = (np.zeros(readings.shape) for _ in range(3))
-    out = Smoothed(states, surprise, usual, np.zeros(len(readings), bool))
+    states, surprise = np.zeros(readings.shape), np.zeros(readings.shape)
+    out = Smoothed(states, surprise, np.zeros(len(readings), bool))
     with silence_mujoco():
         for t, reading in enumerate(readings):
             known.play(actions[t - 1]) if t else known.begin_episode(reading)
-            surprise[t], usual[t], out.lost[t] = known.take_in(reading)
+            surprise[t], out.lost[t] = known.take_in(reading)
             for back, guesses in enumerate(reversed(known.past)):
                 states[t - back] = guesses.mean(0)
     return out

@@ -97,20 +97,18 @@ class RecordingSmoother:
         """With readings that are so many times as wrong."""
         return replace(self, expected=self.expected.times(factor))
 
-    def misfits_by_factor(self, recordings: Sequence[ReadRecording], seed: int) -> dict[float, float]:
-        """How badly readings fit what is expected of them, for each of :data:`FACTORS` of their error, nats.
+    def forecast_errors(self, recordings: Sequence[ReadRecording], scale: np.ndarray, seed: int) -> dict[float, float]:
+        """Mean error of forecast readings, in units of ``scale`` (s,), for each of :data:`FACTORS` of their error.
 
         The factor with the least is the best one. A sensor is more wrong on real images than on those that it learned
-        from, and no state says by how much. But surprises should be as large as ensemble and readings' errors together
-        say: this is the mean negative logarithm of their likelihood, as normally distributed (the innovations' of a
-        Kalman filter). How small surprises are would not tell: what is misread alike in two images forecasts itself.
+        from, and no state says by how much. But the better an ensemble weighs readings against the model, the better
+        what it knows after one reading tells the next.
         """
-        tried, found = last_of(recordings, TRIED_RECORDINGS, TRIED_STEPS), {}
+        tried, errors = last_of(recordings, TRIED_RECORDINGS, TRIED_STEPS), {}
         for factor in FACTORS:
             made = replace(self.supposing(factor), lag=0)(tried, seed)
-            surprise, usual = (np.concatenate([getattr(s, name)[1:] for s in made]) for name in ("surprise", "usual"))
-            found[factor] = float((np.log(usual) + 0.5 * np.square(surprise / usual)).mean())
-        return found
+            errors[factor] = float(np.concatenate([np.abs(s.surprise[1:]) / scale for s in made]).mean())
+        return errors
 
 
 def last_of(recordings: Sequence[ReadRecording], count: int, steps: int) -> list[ReadRecording]:

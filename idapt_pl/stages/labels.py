@@ -76,18 +76,18 @@ def label_target(
         return []
 
     @functools.cache
-    def prepared() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording]]:
+    def prepared() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
         torch.manual_seed(step)  # F samples; whether this is the first or a resumed process must make no difference
         data = read_all(target)
         return data, *smoother_of(c, data, known, sensor, F)
 
     def factors(seed: int) -> dict:
-        _, smooth, recordings = prepared()
-        found = smooth.misfits_by_factor(recordings, seed)
-        return {"factor": min(found, key=found.__getitem__), "misfits": list(found.items())}
+        _, smooth, recordings, scale = prepared()
+        errors = smooth.forecast_errors(recordings, scale, seed)
+        return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
 
     def make(seed: int) -> Trajectories:
-        data, smooth, recordings = prepared()
+        data, smooth, recordings, _ = prepared()
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
@@ -96,8 +96,8 @@ def label_target(
 
 def smoother_of(
     c: StageContext, target: Trajectories, known: Path, sensor: PixelStatePredictor, F: ActionTransformation | None
-) -> tuple[RecordingSmoother, list[ReadRecording]]:
-    """A smoother that takes readings to be as wrong as on ``known``, and what is read of the target."""
+) -> tuple[RecordingSmoother, list[ReadRecording], np.ndarray]:
+    """A smoother that takes readings to be as wrong as on ``known``, what is read of the target, and states' spread."""
     images = read_all([known], also="state")
     read = np.concatenate([r.readings for r in recordings_of(images, sensor, c.worlds.frame_stack)])
     states = np.concatenate([e.observations["state"] for e in images])
@@ -105,7 +105,7 @@ def smoother_of(
     expected = reading_model(task, domain, read, states)
     threads, starts = torch.get_num_threads(), known_starts(c.worlds) if c.labels.known_start else None
     smooth = RecordingSmoother(task, domain, expected, c.labels.members, c.labels.lag, threads, starts)
-    return smooth, recordings_of(target, sensor, c.worlds.frame_stack, F)
+    return smooth, recordings_of(target, sensor, c.worlds.frame_stack, F), states.std(0) + 1e-9
 
 
 def known_starts(worlds: Worlds) -> np.ndarray:

@@ -15,6 +15,7 @@ from idapt_pl.smoothing import (
     reading_model,
     smooth_episode,
 )
+from idapt_pl.smoothing.recordings import last_of
 from idapt_pl.tasks import make_task
 
 
@@ -82,13 +83,23 @@ def test_physics_of_another_robot_helps_less(task, recording):
     assert np.abs(wrong.surprise / states.std(0)).mean() > 1.1 * np.abs(right.surprise / states.std(0)).mean()
 
 
-def test_how_wrong_readings_are_is_told_by_their_surprises(task, recording):
+def test_how_wrong_readings_are_is_told_by_how_well_they_are_forecast(task, recording):
     states, error, read = recording
     expected = expected_of(task, states, error)
+    scale = states.std(0)
     optimist = replace(expected, error=expected.error / 4)  # as if source frames were read four times as well
     for assumed, low, high in ((expected, 1, 1.5), (optimist, 3, 6)):
-        found = RecordingSmoother(task, task.domain("source"), assumed, 64, 0).misfits_by_factor([read], 0)
-        assert low <= min(found, key=found.__getitem__) <= high
+        errors = RecordingSmoother(task, task.domain("source"), assumed, 64, 0).forecast_errors([read], scale, 0)
+        assert low <= min(errors, key=errors.__getitem__) <= high
+
+
+def test_short_recordings_count_for_as_many_steps_as_long_ones():
+    def lengths(*steps):
+        made = [ReadRecording(np.zeros((n + 1, 3)), np.zeros((n, 1))) for n in steps]
+        return [len(r) for r in last_of(made, 2, 200)]
+
+    assert lengths(500, 500, 500) == [200, 200] and lengths(150) == [150]
+    assert lengths(500, *[50] * 9) == [50] * 8
 
 
 def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):

@@ -231,9 +231,9 @@ def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
     assert {frame.tobytes() for frame in frames} <= known
     assert all(np.isfinite(e.observations["state"]).all() for e in labelled)
     tried = json.loads((run / "step_01/reading_errors.json").read_text())
-    best = min(tried["misfits"], key=lambda pair: pair[1])
+    best = min(tried["forecast_errors"], key=lambda pair: pair[1])
     assert "got states by physics" in (run / "report.html").read_text()
-    assert tried["factor"] == best[0] and len(tried["misfits"]) > 3
+    assert tried["factor"] == best[0] and len(tried["forecast_errors"]) > 3
 
 
 def test_a_second_opinion_is_formed_on_a_runs_own_recordings(run):
