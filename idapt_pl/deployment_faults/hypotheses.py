@@ -24,7 +24,6 @@ OFFSETS = (0.25, -0.25, 0.5, -0.5, np.pi / 4, -np.pi / 4, np.pi / 2, -np.pi / 2,
 SURE = 6.0
 """Standard errors from nothing at which an entry of the matrix of commands is taken to be there."""
 
-
 CLEARLY_MORE = 1.5
 """An order is tried if commands make so many times more of the motion in it."""
 

@@ -23,8 +23,8 @@ ALIKE_RATIOS = 1.3
 BETTER = 0.1
 """By how much more another slope must explain of a velocity for it to be out of order."""
 
-LATEST_FILTER = 3
-"""Velocities that come later than positions by fewer control steps may be filtered, which is no fault."""
+LATEST_FILTER, LATEST_FILTER_STEPS = 0.05, 3
+"""Velocities that come later than positions by less than so many seconds, or steps, may be filtered: no fault."""
 
 Choose = Callable[[Sequence[Hypothesis]], list[Hypothesis]]
 """Those of several that are equally good by forecasts, the one to take first."""
@@ -58,7 +58,9 @@ def velocity_mend(
         found = compare_velocities(signals_of(mend), joints, moving)
     for members in like_factors(found, joints, moving):
         mend = decide(own_factor(mend, found, joints, moving, members))
-    return other_time(mend, compare_velocities(signals_of(mend), joints, moving), joints, moving), others
+    signals = signals_of(mend)
+    period = float(np.median(np.concatenate([np.diff(s.time) for s in signals])))
+    return other_time(mend, compare_velocities(signals, joints, moving), joints, moving, period), others
 
 
 def other_order(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int]) -> list[Hypothesis]:
@@ -145,13 +147,13 @@ def factor_of_position(ratio: float, hinge: bool) -> float | None:
     return near[1] if near else None
 
 
-def other_time(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int]) -> Mend:
-    """Velocities that come too early, or much too late, moved to where the positions are."""
-    late = list(mend.v_late)
+def other_time(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int], period: float) -> Mend:
+    """Velocities that come too early, or much too late, moved to where the positions are; ``period`` is of control, s."""
+    late, largest = list(mend.v_late), max(LATEST_FILTER_STEPS, LATEST_FILTER / period)
     shifts = {int(found.late[n]) for n in range(len(moving)) if found.clear[n]}
     everywhere = len(shifts) == 1  # joints that do not move share the clock
     for j in range(len(joints)) if everywhere else [j for n, j in enumerate(moving) if found.clear[n]]:
         s = shifts.copy().pop() if everywhere else int(found.late[moving.index(j)])
-        if s < 0 or s >= LATEST_FILTER:
+        if s < 0 or s >= largest:
             late[joints.v[j]] -= s
     return replace(mend, v_late=tuple(late))
