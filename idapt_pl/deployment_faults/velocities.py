@@ -148,7 +148,7 @@ def factor_of_position(ratio: float, hinge: bool) -> float | None:
 
 
 def other_time(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int], period: float) -> Mend:
-    """Velocities that come too early, or much too late, moved to where the positions are; ``period`` is of control, s."""
+    """Velocities that come too early, or much too late, moved to where the positions are; control period in s."""
     late, largest = list(mend.v_late), max(LATEST_FILTER_STEPS, LATEST_FILTER / period)
     shifts = {int(found.late[n]) for n in range(len(moving)) if found.clear[n]}
     everywhere = len(shifts) == 1  # joints that do not move share the clock
