@@ -26,6 +26,9 @@ SLOPE_HALF_WIDTH = 0.01
 LONGEST_PAUSE = 10.0
 """Seconds between two rows, for which one command is simulated; more is no recording of them."""
 
+LEFT_OUT = "left_out"
+"""Name of the channel of ``infos`` that marks control steps in which the model is not expected to hold."""
+
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
 
@@ -40,6 +43,7 @@ class Recording:
         qpos: measured positions, (T+1, nq).
         qvel: measured or estimated velocities, (T+1, nv).
         actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
+        left_out: control steps that nothing is predicted in, (T,) bool; None for none.
     """
 
     name: str
@@ -47,6 +51,7 @@ class Recording:
     qpos: np.ndarray
     qvel: np.ndarray
     actions: np.ndarray
+    left_out: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -98,7 +103,8 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
                 f"episode_{i}: a pause of {gaps.max():.4g} s after row {gaps.argmax()}, where nobody knows what was "
                 "commanded: make two episodes of it (`idapt import` does)"
             )
-        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions))
+        left_out = steps_left_out(f"episode_{i}", episode)
+        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions, left_out))
     if any(qvel is None for _, qvel in measured):
         return sloped, False
     shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
@@ -107,6 +113,23 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return sloped, False
     return shown, True
+
+
+def steps_left_out(where: str, episode: Episode) -> np.ndarray | None:
+    """Control steps that ``infos/left_out`` marks, (T,) bool; None where it marks none.
+
+    Raises:
+        UnusableData: it is not one mark for each control step.
+    """
+    marked = episode.infos.get(LEFT_OUT)
+    if marked is None:
+        return None
+    if marked.shape != (len(episode),) or marked.dtype.kind not in "biu":
+        raise UnusableData(
+            f"{where}: infos/{LEFT_OUT} is {marked.dtype} {marked.shape}, expected one mark (bool) for each of "
+            f"{len(episode)} control steps"
+        )
+    return marked.astype(bool) if marked.any() else None
 
 
 def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tuple[np.ndarray, np.ndarray | None]:
@@ -198,17 +221,27 @@ def sample_windows(
     """At most ``limit`` windows of ``steps`` control steps out of some episodes, not overlapping.
 
     The first steps of an episode are left out where it is long enough: commands from before the
-    recording may still act there.
+    recording may still act there. So are windows with a step that is left out of the recording.
     """
     rng = np.random.default_rng(seed)
     found = []
     for e in episodes:
         T = len(data[e])
         skip = min(int(np.ceil(START_UP / np.median(np.diff(data[e].time)))), T // 4, max(0, T - steps))
-        starts = np.arange(skip, T - steps + 1, steps)
+        starts = window_starts(data[e].left_out, skip, T, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
     every = np.concatenate(found) if found else np.zeros((0, 2), int)
     if len(every) > limit:
         every = every[np.sort(rng.choice(len(every), limit, replace=False))]
     offsets = np.unique(np.round(np.linspace(0, steps, samples + 1)[1:]).astype(int))
     return Windows(every[:, 0], every[:, 1], offsets)
+
+
+def window_starts(left_out: np.ndarray | None, first: int, last: int, steps: int) -> np.ndarray:
+    """First steps of windows one after the other from ``first`` to ``last``; anew after what is left out."""
+    if left_out is None:
+        return np.arange(first, last - steps + 1, steps)
+    kept = np.concatenate([[False], ~left_out[first:last], [False]])
+    begins, ends = (first + np.flatnonzero(np.diff(kept.astype(int)) == s) for s in (1, -1))
+    runs = [np.arange(a, b - steps + 1, steps) for a, b in zip(begins, ends, strict=True)]
+    return np.concatenate([*runs, np.zeros(0, int)]).astype(int)

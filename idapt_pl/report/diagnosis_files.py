@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 from matplotlib.figure import Figure
@@ -13,10 +16,51 @@ from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
 from idapt_pl.files import write_atomically, write_json, write_yaml
+from idapt_pl.recording_sets import SetComparison
 from idapt_pl.report.diagnosis_figures import diagnosis_figures
 from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.fault_section import fault_section
+from idapt_pl.report.sets_section import comparison_section
+from idapt_pl.report.stretch_section import stretch_section
+from idapt_pl.stretches import StretchReport
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingNotes:
+    """What is known of recordings beside the diagnosis itself.
+
+    Attributes:
+        faults: of each file, by its name, where they were tested for.
+        fixed: whether the diagnosis is of the mended recordings.
+        stretches: what was left out.
+        comparison: of several files; None for one.
+    """
+
+    faults: Mapping[str, FaultReport] | None = None
+    fixed: bool = False
+    stretches: StretchReport | None = None
+    comparison: SetComparison | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in ``report.json``, beside what the diagnosis says."""
+        made: dict[str, Any] = {}
+        told = {name: f.to_dict(self.fixed) for name, f in (self.faults or {}).items()}
+        if len(told) == 1:
+            made["deployment_faults"] = next(iter(told.values()))
+        if self.stretches is not None:
+            made["left_out"] = self.stretches.to_dict()
+        if self.comparison is not None:
+            made |= self.comparison.to_dict()
+            for entry in made["recordings"]:
+                entry["deployment_faults"] = told.get(entry["file"])
+        return made
+
+    def sections(self) -> list[str]:
+        """Of the page, after the verdict."""
+        files = self.faults or {}
+        faults = [fault_section(f, self.fixed, name if len(files) > 1 else "") for name, f in files.items()]
+        return [*faults, stretch_section(self.stretches), comparison_section(self.comparison)]
 
 
 def write_diagnosis(
@@ -24,8 +68,7 @@ def write_diagnosis(
     folder: Path,
     model_name: str,
     data_name: str,
-    faults: FaultReport | None = None,
-    fixed: bool = False,
+    notes: RecordingNotes | None = None,
 ) -> None:
     """Write everything a diagnosis leaves behind.
 
@@ -34,18 +77,17 @@ def write_diagnosis(
         folder: made if it is not there; also TensorBoard's log folder.
         model_name: of the nominal model, for the page's title.
         data_name: of the recordings.
-        faults: of the recordings, where they were tested for.
-        fixed: whether the diagnosis is of the mended recordings.
+        notes: what is known of the recordings.
 
     Raises:
         RuntimeError: the repaired model does not load from ``folder``.
     """
-    tested = {} if faults is None else {"deployment_faults": faults.to_dict(fixed)}
-    write_json(folder / "report.json", diagnosis.report | tested)
+    notes = notes or RecordingNotes()
+    write_json(folder / "report.json", diagnosis.report | notes.to_dict())
     write_yaml(folder / "effects.yaml", [e.to_dict() for e in accepted_effects(diagnosis)])
     repaired = repair_model(diagnosis.sim.spec, diagnosis.effects, folder)
     drawn = diagnosis_figures(diagnosis)
-    html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name, fault_section(faults, fixed))
+    html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name, notes.sections())
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
 import matplotlib
@@ -30,13 +31,13 @@ TONES = {
 
 def diagnosis_page(
     diagnosis: Diagnosis, repaired: RepairedModel, drawn: dict[str, Figure], model_name: str, data_name: str,
-    faults: str = "",
+    notes: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """The whole page; ``faults`` is the section about the recordings' own faults."""
+    """The whole page; ``notes`` are sections about the recordings themselves."""
     result, model = diagnosis.result, diagnosis.sim.model
     sections = [
         verdict_header(result, model, model_name, data_name),
-        faults,
+        *notes,
         error_section(result),
         effects_section(result, model),
         signature_section(result),
