@@ -68,7 +68,9 @@ EXAMPLES = """examples:
     parameters: {damping: 0.06}
 """
 
-WRITTEN = ("report.html", "report.json", "effects.yaml", "patched.xml", "looks.yaml", "looks.png", "mended.h5")
+WRITTEN = (
+    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "looks.yaml", "looks.png", "mended.h5",
+)  # fmt: skip
 """Files in the folder that a diagnosis writes."""
 
 
@@ -235,8 +237,8 @@ def print_findings(verdict: Sequence[str], tables: Sequence[Table], out: Path, n
     for name, text in notes.items():
         if text:
             console.print(f"{name}: {escape(text)}", soft_wrap=True, highlight=False)
-    console.print(f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model",
-                  soft_wrap=True, highlight=False)  # fmt: skip
+    told = f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model"
+    console.print(told, soft_wrap=True, highlight=False)
 
 
 def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> list[Table]:

@@ -1,4 +1,4 @@
-"""The files of a diagnosis: report.json, report.html, patched.xml, effects.yaml and TensorBoard's."""
+"""The files of a diagnosis: report.json, report.html, settings.md, patched.xml, effects.yaml and TensorBoard's."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
 from idapt_pl.files import write_atomically, write_json, write_yaml
 from idapt_pl.recording_sets import SetComparison
+from idapt_pl.report.actuator_settings import drive_settings
+from idapt_pl.report.changed_settings import changed_settings
 from idapt_pl.report.diagnosis_figures import diagnosis_figures
 from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.fault_section import fault_section
 from idapt_pl.report.sets_section import comparison_section
+from idapt_pl.report.settings_table import settings_markdown, settings_to_take
 from idapt_pl.report.stretch_section import stretch_section
 from idapt_pl.stretches import StretchReport
 
@@ -56,6 +59,20 @@ class RecordingNotes:
                 entry["deployment_faults"] = told.get(entry["file"])
         return made
 
+    def warnings(self) -> list[str]:
+        """What a reader with a minute must know, a sentence each."""
+        made = []
+        if count := sum(len(f.faults) for f in (self.faults or {}).values()):
+            done = "taken out" if self.fixed else "still in: effects may stand for them"
+            made.append(f"Deployment faults: {count}, {done}.")
+        if self.stretches is not None and self.stretches.stretches:
+            made.append(f"{100 * self.stretches.share:.2g} % were left out.")
+        if self.comparison is not None:
+            changed, unlike = len(self.comparison.changed), len(self.comparison.unlike)
+            made.append(f"Values that differ between the {len(self.comparison.sets)} files: {changed}.")
+            made += [f"Files unlike the others: {unlike}."] * bool(unlike)
+        return made
+
     def sections(self) -> list[str]:
         """Of the page, after the verdict."""
         files = self.faults or {}
@@ -87,7 +104,14 @@ def write_diagnosis(
     write_yaml(folder / "effects.yaml", [e.to_dict() for e in accepted_effects(diagnosis)])
     repaired = repair_model(diagnosis.sim.spec, diagnosis.effects, folder)
     drawn = diagnosis_figures(diagnosis)
-    html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name, notes.sections())
+    changes, (drives, unsaid) = changed_settings(diagnosis, repaired, folder), drive_settings(diagnosis)
+    html = diagnosis_page(
+        diagnosis, repaired, drawn, model_name, data_name, notes.sections(), notes.warnings(),
+        settings_to_take(changes, drives, unsaid),
+    )  # fmt: skip
+    outside = [(e.name, e.target) for e in repaired.unsaid]
+    text = settings_markdown(changes, drives, unsaid, (model_name, data_name), outside)
+    write_atomically(folder / "settings.md", lambda path: path.write_text(text, encoding="utf-8"))
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))
