@@ -57,6 +57,7 @@ EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fix
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --only '0.5 < time < 4' --without 'estop == 1'
   idapt diagnose --model nominal.xml --data monday.h5 tuesday.h5 friday.h5 --out week
+  idapt diagnose --model robot.urdf --actuators position:kp=30,kv=1 --data measured.h5 --out diagnosis
   idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
       --candidates joint_damping joint_frictionloss joint_stribeck
   idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
@@ -77,7 +78,12 @@ WRITTEN = (
 def command_line() -> argparse.ArgumentParser:
     """The options of ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
-    p.add_argument("--model", type=Path, help="nominal model (MJCF)")
+    p.add_argument("--model", type=Path, help="nominal model (MJCF or URDF)")
+    p.add_argument(
+        "--actuators",
+        metavar="KIND",
+        help="of a model that has none: motor (torques), position:kp=30,kv=1, velocity:kv=2, none, or a YAML file",
+    )
     p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
     p.add_argument(
         "--data",
@@ -138,8 +144,8 @@ def main(args: list[str]) -> int:
         p.error("--looks compares images with what the source of a run shows: give --run")
     if o.fix and o.run is not None:
         p.error("--fix mends recordings of positions: give --model, not --run")
-    if o.run is not None and (o.only or o.without or len(o.data) > 1):
-        p.error("--only, --without and several files are for recordings of positions: give --model, not --run")
+    if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
+        p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
         print_diagnosis(diagnose_recordings(o, read_effects), o.out)
         return 0

@@ -19,7 +19,6 @@ from cli.arguments import show_bar
 from datamodules import Trajectories, read_trajectories, write_trajectories
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects.base import Effect
@@ -28,6 +27,7 @@ from idapt_pl.report.diagnosis_files import RecordingNotes, write_diagnosis
 from idapt_pl.report.fault_section import consequence, fault_sentence
 from idapt_pl.report.sets_section import comparison_sentences, set_cells, set_heads
 from idapt_pl.report.stretch_section import stretch_sentences
+from idapt_pl.robot_files import parse_actuators, read_robot
 from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
 from idapt_pl.stretches.conditions import BadCondition
 
@@ -44,11 +44,17 @@ def diagnose_recordings(
     Raises:
         ValueError: of what the user gave, naming the file or the option.
     """
-    model = read_model(o.model)
+    robot = read_robot(o.model, None if o.actuators is None else parse_actuators(o.actuators))
+    model = robot.spec
+    for note in robot.notes:
+        Console().print(escape(f"{o.model.name}: {note}"), soft_wrap=True, highlight=False)
     declared = read_effects(o.effects, model) if o.effects else ()
     each = [read_recordings(path, o) for path in o.data]
+    ask_for_actuators(o, model, each)
     names = [s.name for s in join_recordings(o.data, each)[1]]
     each, faults = without_faults(model, each, names, o)
+    if o.fix:
+        model = one_mended_model(model, faults)
     data, sets = join_recordings(o.data, each)
 
     with progress_bar() as progress:
@@ -65,7 +71,7 @@ def diagnose_recordings(
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
     fixed = o.fix and any(f.faults for f in faults.values())
-    notes = RecordingNotes(faults, fixed, stretches, comparison)
+    notes = RecordingNotes(faults, fixed, stretches, comparison, robot.notes)
     write_diagnosis(diagnosis, o.out, o.model.name, " + ".join(names), notes)
     for path, recordings in mended_files(o.out, sets, each) if fixed else ():
         write_trajectories(path, recordings)
@@ -73,6 +79,22 @@ def diagnose_recordings(
         Console().print(escape(sentence), soft_wrap=True, highlight=False)
     print_comparison(comparison)
     return diagnosis
+
+
+def ask_for_actuators(o: argparse.Namespace, model: mujoco.MjSpec, each: Sequence[Trajectories]) -> None:
+    """See that a model without actuators has no commands to follow.
+
+    Raises:
+        ValueError: it has; the message says what to declare.
+    """
+    columns = max((e.actions.shape[1] for data in each for e in data), default=0)
+    if columns and not len(model.actuators) and o.actuators is None:
+        joints = ", ".join(j.name for j in model.joints)
+        raise ValueError(
+            f"{o.model}: it has no actuators, but the recordings have {columns} columns of actions: say what they are "
+            f"with --actuators motor (torques), --actuators position:kp=30,kv=1 (targets of servos), or a YAML file "
+            f"that names a joint for each column (joints: {joints})"
+        )
 
 
 def read_recordings(path: Path, o: argparse.Namespace) -> Trajectories:
@@ -128,6 +150,19 @@ def without_faults(
     if any(r.faults for r in reports.values()):
         Console().print(escape(consequence(o.fix)), soft_wrap=True, highlight=False)
     return mended, reports
+
+
+def one_mended_model(model: mujoco.MjSpec, faults: dict[str, FaultReport]) -> mujoco.MjSpec:
+    """The model with faults of its own taken out.
+
+    Raises:
+        ValueError: by some recordings it has other faults than by others.
+    """
+    mends = {name: (r.mend.drives, r.mend.gravity) for name, r in faults.items()}
+    if len({(bool(d), g) for d, g in mends.values()}) > 1:
+        told = ", ".join(n for n, (d, g) in mends.items() if d or g)
+        raise ValueError(f"--fix: the model's drives or gravity are wrong by some of the recordings only ({told})")
+    return next(iter(faults.values())).fixed_model(model)
 
 
 def print_comparison(comparison: SetComparison | None) -> None:

@@ -17,6 +17,7 @@ from mujoco import rollout
 from datamodules import Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Mend
+from idapt_pl.deployment_faults.model_mend import mended_model
 from idapt_pl.diagnosis.data import measured_signals, slopes, steps_left_out
 from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
 
@@ -141,7 +142,7 @@ class RecordingForecasts:
         period = float(np.median(np.concatenate([np.diff(s.time) for s in signals])))
         qpos = gather(signals, "qpos", starts.episode, at)
         usual = np.sqrt(np.square(after - before).mean(0)) + 1e-12
-        predicted = forecast(self.model, self.simulated, qpos, before, controls, period)
+        predicted = forecast(mended_model(self.model, mend), self.simulated, qpos, before, controls, period)
         miss = np.nan_to_num((after - predicted) / usual, nan=CAP, posinf=CAP, neginf=-CAP)
         return np.square(miss.clip(-CAP, CAP))
 

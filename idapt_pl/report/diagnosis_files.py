@@ -23,6 +23,7 @@ from idapt_pl.report.diagnosis_figures import diagnosis_figures
 from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.fault_section import fault_section
+from idapt_pl.report.html import paragraph, section
 from idapt_pl.report.sets_section import comparison_section
 from idapt_pl.report.settings_table import settings_markdown, settings_to_take
 from idapt_pl.report.stretch_section import stretch_section
@@ -38,12 +39,14 @@ class RecordingNotes:
         fixed: whether the diagnosis is of the mended recordings.
         stretches: what was left out.
         comparison: of several files; None for one.
+        model_notes: what the model's file said that is not in the model, a sentence each.
     """
 
     faults: Mapping[str, FaultReport] | None = None
     fixed: bool = False
     stretches: StretchReport | None = None
     comparison: SetComparison | None = None
+    model_notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``, beside what the diagnosis says."""
@@ -51,6 +54,8 @@ class RecordingNotes:
         told = {name: f.to_dict(self.fixed) for name, f in (self.faults or {}).items()}
         if len(told) == 1:
             made["deployment_faults"] = next(iter(told.values()))
+        if self.model_notes:
+            made["model_notes"] = list(self.model_notes)
         if self.stretches is not None:
             made["left_out"] = self.stretches.to_dict()
         if self.comparison is not None:
@@ -77,7 +82,9 @@ class RecordingNotes:
         """Of the page, after the verdict."""
         files = self.faults or {}
         faults = [fault_section(f, self.fixed, name if len(files) > 1 else "") for name, f in files.items()]
-        return [*faults, stretch_section(self.stretches), comparison_section(self.comparison)]
+        lost = [paragraph(note[:1].upper() + note[1:] + ".") for note in self.model_notes]
+        told = section("What the model's file lost", *lost) if lost else ""
+        return [told, *faults, stretch_section(self.stretches), comparison_section(self.comparison)]
 
 
 def write_diagnosis(
