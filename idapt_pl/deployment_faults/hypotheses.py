@@ -190,7 +190,7 @@ def gravity_hypotheses(mend: Mend, model: mujoco.MjModel) -> Iterator[Hypothesis
         for way in (1.0, -1.0):
             turned = way * size * np.eye(3)[axis]
             if turned @ now < 0.9 * size**2:
-                yield Hypothesis("direction of gravity", replace(mend, gravity=tuple(float(x) for x in turned)))
+                yield Hypothesis("direction of gravity", replace(mend, gravity=tuple(float(x) + 0.0 for x in turned)))
 
 
 def scaled_all(mend: Mend, factors: dict[int, float]) -> Mend:
