@@ -271,12 +271,14 @@ def restored(report: FaultReport, faulty: Trajectories, original: Trajectories, 
         return False
     if name == "lost_samples":
         steps, found = (sum(map(len, d)) for d in (original, faulty))
-        return abs(sum(int(x.sum()) for x in report.sequence.lost) / (steps - found) - 1) < 0.2
+        return (
+            abs(sum(int(x.sum()) for x in report.sequence.lost) / (steps - found) - 1) < 0.3
+        )  # those lost at rest do not show
     if name == "wrong_first_sample":
         return all(len(e) == len(o) - 2 for e, o in zip(fixed, original, strict=True))
     first = report.mend.margins[0]
     allowed = {"joint_zero": 0.05, "repeated_samples": 0.3, "reordered_samples": 1e-3}.get(name, 1e-3)
-    most = {"repeated_samples": 0.9, "reordered_samples": 0.97}.get(name, 1.0)
+    most = {"repeated_samples": 0.9, "reordered_samples": 0.95}.get(name, 1.0)
     for e, o in zip(fixed, original, strict=True):
         n = len(e)
         for now, then in (
