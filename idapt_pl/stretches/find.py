@@ -29,8 +29,8 @@ USUAL = 0.8
 FAR, NEAR = 6.0, 3.0
 """Errors, in usual ones, in the middle of a stretch, and at its edges."""
 
-OF_TAIL, TAIL = 1.5, 0.95
-"""A stretch is also so many times worse than this quantile of the rest."""
+TAIL = 0.99
+"""A stretch is also worse than this quantile of the rest: contacts make spikes."""
 
 SHORTEST_STRETCH, FEWEST_FORECASTS = 0.2, 5
 """A stretch lasts so many seconds, and forecasts on end, at least; a contact or a switch is over sooner."""
@@ -88,7 +88,7 @@ def find_stretches(sim: Simulator, effects: Effects) -> tuple[list[Stretch], tup
     shown = tuple(ForecastErrors(r.time[at] - r.time[0], w) for r, at, w in zip(sim.data, starts, worst, strict=True))
     tail, found = 0.0, list[Stretch]()
     for _ in range(3):  # what is found no longer counts among the rest
-        threshold = max(FAR, OF_TAIL * tail)
+        threshold = max(FAR, tail)
         before, found = found, []
         for e, (r, at, error) in enumerate(zip(sim.data, starts, errors, strict=True)):
             found += stretches_of(e, r, at, error / usual, steps, threshold, channels_of(sim))
