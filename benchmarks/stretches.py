@@ -7,10 +7,10 @@
 
 A pendulum and an arm of two links are simulated here, by code that shares nothing with the diagnosis: in some episodes
 (or in all) somebody pushes, the last link is caught at a point, the motors are off or brakes hold, for 0.3 to 1 s, with
-and without an effect besides. ``found`` counts the planted stretches of which more than half was left out, ``wrong``
-those left out where none was planted. ``right`` is that of the answer without the stretches, ``right_with`` of the one
-with them in. Thresholds were chosen on seed 0. Of the undeclared cases the model has what results/diagnosis.csv says was found in them.
-Writes results/stretches.csv.
+and without an effect besides. ``found`` counts the planted stretches of
+which more than half was left out, ``wrong`` those left out where none was planted. ``right`` is that of the answer without
+the stretches, ``right_with`` of the one with them in. Thresholds were chosen on seed 0. Of the undeclared cases the model
+has what results/diagnosis.csv says was found in them. Writes results/stretches.csv.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from idapt_pl.diagnosis.data import as_recordings
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects import Effect, effect_from_dict
-from idapt_pl.effects.base import EFFECTS
+from idapt_pl.effects.base import EFFECTS as KNOWN_EFFECTS
 from idapt_pl.stretches import StretchReport, diagnose_stretches
 from idapt_pl.stretches.find import find_stretches
 
@@ -205,7 +205,7 @@ def effects_found(row: dict, model: mujoco.MjModel) -> tuple[Effect, ...]:
     values, made = row["estimate"].split(), []
     for part in filter(None, row["found"].split(" + ")):
         name, _, target = part.removesuffix(")").partition("(")
-        known, parameters = {f.name for f in dataclasses.fields(EFFECTS[name])}, {}
+        known, parameters = {f.name for f in dataclasses.fields(KNOWN_EFFECTS[name])}, {}
         while values and (key := values[0].split("=")[0]) in known and key not in parameters:
             text = values.pop(0).split("=")[1]
             parameters[key] = text if key == "integrator" else float(text)
