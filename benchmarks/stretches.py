@@ -8,8 +8,8 @@
 A pendulum and an arm of two links are simulated here, by code that shares nothing with the diagnosis: in some episodes
 (or in all) somebody pushes, the last link is caught at a point, the motors are off or brakes hold, for 0.3 to 1 s, with
 and without an effect besides. ``found`` counts the planted stretches of which more than half was left out, ``wrong``
-those left out where none was planted. ``right`` is that of the answer without the stretches, ``right_with`` of the one
-with them in. Thresholds were chosen on seed 0. Of the undeclared cases the model has what results/diagnosis.csv says was
+those left out where none was planted. ``right`` is that of the answer without them, ``right_with`` of the one with them
+in. Thresholds were chosen on seed 0. Of the undeclared cases the model has what results/diagnosis.csv says was
 found in them. Writes results/stretches.csv.
 """
 
