@@ -1,8 +1,8 @@
 """Samples that are lost, out of order or not there yet, by positions that do not follow from velocities.
 
 No model is needed: over a control step positions change by the mean velocity times the period. Where a row is missing
-they change by twice that; where two rows are exchanged they go forth, back and forth; a first row that is no
-measurement (zeros before the first message) does not lead to the second.
+they change by twice that; where two rows are exchanged they go forth, back and forth; first rows that are no
+measurements (zeros before the first message) are the same in all episodes, and do not lead to the next.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ def find_sequence_faults(model: mujoco.MjModel, data: Trajectories) -> SequenceF
     """Look at every episode; nothing is found where velocities were not measured or time stamps tell the time."""
     joints, lost, swapped, first = ScalarJoints.of(model), [], [], []
     channels = [channels_of_episode(model, i, e, joints) for i, e in enumerate(data)]
-    usual = usual_mismatch(channels, data.dt)
+    usual, alike = usual_mismatch(channels, data.dt), rows_alike([c for c in channels if c is not None])
     for c in channels:
         if c is None or usual is None:
             lost.append(np.zeros(0, int)), swapped.append(()), first.append(0)
             continue
-        begin = rows_before_first(c, data.dt, usual)
+        begin = rows_before_first(c, data.dt, usual, alike)
         found = swapped_rows(c, data.dt, usual)
         lost.append(lost_rows(c, data.dt, usual, {*found, *(k + d for k in found for d in (-1, 1)), *range(begin)}))
         swapped.append(found)
@@ -73,11 +73,13 @@ def find_sequence_faults(model: mujoco.MjModel, data: Trajectories) -> SequenceF
     return SequenceFaults(tuple(lost), tuple(swapped), tuple(first))
 
 
-Motion = tuple[np.ndarray, np.ndarray]
+JointMotion = tuple[np.ndarray, np.ndarray]
 """Positions and velocities of hinges and slides, (T+1, n) each."""
 
 
-def channels_of_episode(model: mujoco.MjModel, number: int, episode: Episode, joints: ScalarJoints) -> Motion | None:
+def channels_of_episode(
+    model: mujoco.MjModel, number: int, episode: Episode, joints: ScalarJoints
+) -> JointMotion | None:
     """Positions and velocities; None where velocities or regular samples are missing."""
     qpos, qvel = measured_signals(model, f"episode_{number}", episode)
     if qvel is None or not len(joints) or len(episode) < 8 or episode.timestamps is not None:
@@ -85,14 +87,14 @@ def channels_of_episode(model: mujoco.MjModel, number: int, episode: Episode, jo
     return np.asarray(qpos, float)[:, list(joints.q)], np.asarray(qvel, float)[:, list(joints.v)]
 
 
-def mismatch(motion: Motion, dt: float, rows: np.ndarray | None = None, periods: float = 1.0) -> np.ndarray:
+def mismatch(motion: JointMotion, dt: float, rows: np.ndarray | None = None, periods: float = 1.0) -> np.ndarray:
     """Change of the positions beyond what the mean velocity makes, of steps from ``rows`` on, (rows, n)."""
     q, v = motion
     k = np.arange(len(q) - 1) if rows is None else rows
     return q[k + 1] - q[k] - periods * dt * (v[k] + v[k + 1]) / 2
 
 
-def usual_mismatch(channels: list[Motion | None], dt: float) -> np.ndarray | None:
+def usual_mismatch(channels: list[JointMotion | None], dt: float) -> np.ndarray | None:
     """Of each joint, (n,); None where nothing can be compared, or velocities and positions do not agree at all."""
     every = [mismatch(c, dt) for c in channels if c is not None]
     if not every or not np.isfinite(dt) or dt <= 0:
@@ -108,7 +110,7 @@ def size(off: np.ndarray, usual: np.ndarray) -> np.ndarray:
     return np.abs(off / usual).max(1)
 
 
-def lost_rows(motion: Motion, dt: float, usual: np.ndarray, taken: set[int]) -> np.ndarray:
+def lost_rows(motion: JointMotion, dt: float, usual: np.ndarray, taken: set[int]) -> np.ndarray:
     """How many rows are missing after each row, (T,).
 
     Args:
@@ -130,7 +132,7 @@ def lost_rows(motion: Motion, dt: float, usual: np.ndarray, taken: set[int]) -> 
     return found
 
 
-def swapped_rows(motion: Motion, dt: float, usual: np.ndarray) -> tuple[int, ...]:
+def swapped_rows(motion: JointMotion, dt: float, usual: np.ndarray) -> tuple[int, ...]:
     """Rows that are exchanged with the next one: exchanged back, three steps agree that did not."""
     q, v = motion
     off = size(mismatch(motion, dt), usual)
@@ -146,13 +148,29 @@ def swapped_rows(motion: Motion, dt: float, usual: np.ndarray) -> tuple[int, ...
     return tuple(found)
 
 
-def rows_before_first(motion: Motion, dt: float, usual: np.ndarray) -> int:
-    """Rows at the start that are no measurements: the last step that is off by far, if what follows is not."""
-    off = size(mismatch(motion, dt), usual)
-    early = np.flatnonzero(off[:MOST_FIRST] > FAR_FROM_USUAL)
-    if not len(early) or size(mismatch(motion, dt, np.array([early[-1]]), 2.0), usual)[0] < 3.0:
+def rows_alike(channels: list[JointMotion]) -> np.ndarray:
+    """The first rows that most episodes have in common, to the last bit, as no measurements are: (rows, 2 n)."""
+    firsts = [np.concatenate([q[:MOST_FIRST], v[:MOST_FIRST]], 1) for q, v in channels]
+    if len(firsts) < 2:
+        return np.zeros((0, 0))
+    common = np.median(np.stack(firsts), 0)
+    same = np.mean([(f == common).all(1) for f in firsts], 0) > 0.5
+    return common[: int(np.argmin(same)) if not same.all() else len(same)]
+
+
+def rows_before_first(motion: JointMotion, dt: float, usual: np.ndarray, alike: np.ndarray) -> int:
+    """Rows at the start that are no measurements: all episodes begin with them, and they do not lead to the next row.
+
+    Args:
+        motion: of the episode.
+        dt: control period, s.
+        usual: mismatch of each joint, (n,).
+        alike: first rows that episodes have in common, (rows, 2 n).
+    """
+    n = len(alike)
+    if not n or not np.array_equal(np.concatenate([x[:n] for x in motion], 1), alike):
         return 0
-    return int(early[-1]) + 1 if np.median(off[MOST_FIRST : 4 * MOST_FIRST]) < 3.0 else 0
+    return n if size(mismatch(motion, dt, np.array([n - 1])), usual)[0] > FAR_FROM_USUAL else 0
 
 
 # --- and what is done about it --------------------------------------------------------------------------
@@ -163,7 +181,7 @@ def without_sequence_faults(data: Trajectories, faults: SequenceFaults) -> Traje
     lost, swapped, started = faults.counts
     mend: list[Callable[[Episode, int], Episode]] = []
     if swapped:
-        mend.append(lambda e, i: in_order(e, faults.swapped[i]))
+        mend.append(lambda e, i: with_rows_in_order(e, faults.swapped[i]))
     if lost:
         mend.append(lambda e, i: with_lost_time(e, faults.lost[i], data.dt))
     if started:
@@ -174,7 +192,7 @@ def without_sequence_faults(data: Trajectories, faults: SequenceFaults) -> Traje
     return replace(data, episodes=tuple(episodes))
 
 
-def in_order(episode: Episode, swapped: tuple[int, ...]) -> Episode:
+def with_rows_in_order(episode: Episode, swapped: tuple[int, ...]) -> Episode:
     """An episode whose measurements are exchanged back."""
     order = np.arange(len(episode) + 1)
     for k in swapped:

@@ -20,7 +20,7 @@ from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, w
 from idapt_pl.effects.wording import unit_at
 from idapt_pl.estimation.intervals import covariance
 from idapt_pl.recording_sets.join import RecordingSet
-from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, Value
+from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 
 MOST_WINDOWS = 250
 """Windows of each file."""
@@ -95,7 +95,7 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
     scale = np.concatenate([c.scale for c in state.candidates])
     half = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0)) * scale
     halves = split_parameters(state.candidates, half)
-    timestep, values = sim.compile(state.fixed).opt.timestep, dict[Value, ParameterEstimate]()
+    timestep, values = sim.compile(state.fixed).opt.timestep, dict[SetValue, ParameterEstimate]()
     for a, x, h in zip(state.with_estimates(fit.x).accepted, fit.x, halves, strict=True):
         c, interval = a.candidate, with_interval(a, h, timestep).interval
         assert interval is not None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from datamodules import Trajectories
 
-SAME_PERIOD = 0.01
+LIKE_PERIOD = 0.01
 """Control periods that differ by a smaller share are the same."""
 
 
@@ -44,7 +44,7 @@ def join_recordings(paths: Sequence[Path], each: Sequence[Trajectories]) -> tupl
         raise ValueError(f"--data: {Path(doubled[0]).name} is given twice")
     sets, episodes = [], list(each[0].episodes[:0])
     for name, path, data in zip(names, paths, each, strict=True):
-        if abs(data.dt - each[0].dt) > SAME_PERIOD * each[0].dt:
+        if abs(data.dt - each[0].dt) > LIKE_PERIOD * each[0].dt:
             raise ValueError(
                 f"{path}: its control period is {data.dt:g} s, that of {paths[0]} is {each[0].dt:g} s; "
                 "recordings with different periods are diagnosed one by one"

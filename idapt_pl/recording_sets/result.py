@@ -9,7 +9,7 @@ from typing import Any
 from idapt_pl.diagnosis.result import EffectEstimate, ParameterEstimate
 from idapt_pl.recording_sets.join import RecordingSet
 
-Value = tuple[str, str, str]
+SetValue = tuple[str, str, str]
 """Effect, target, parameter."""
 
 
@@ -29,7 +29,7 @@ class SetResult:
     before: float
     common: float
     own: float
-    values: Mapping[Value, ParameterEstimate]
+    values: Mapping[SetValue, ParameterEstimate]
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
@@ -54,7 +54,7 @@ class ChangedValue:
         sigmas: by how many standard errors these two differ.
     """
 
-    value: Value
+    value: SetValue
     lowest: str
     highest: str
     sigmas: float

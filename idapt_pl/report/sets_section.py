@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 from idapt_pl.diagnosis.result import ParameterEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
-from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, Value
+from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 from idapt_pl.report.html import figure, paragraph, row, section, table
 from idapt_pl.report.plots import AFTER, BEFORE, NOISE, escape_mathtext, svg
 
 
-def name_of_value(value: Value, comparison: SetComparison) -> str:
+def name_of_value(value: SetValue, comparison: SetComparison) -> str:
     """A value in words: the effect, and the parameter where it has several."""
     effect, target, parameter = value
     several = sum(v[:2] == (effect, target) for v in comparison.sets[0].values) > 1

@@ -12,16 +12,16 @@ import numpy as np
 
 from idapt_pl.files import read_yaml
 
-SETTINGS: Mapping[str, Mapping[str, float | None]] = {
+ACTUATOR_SETTINGS: Mapping[str, Mapping[str, float | None]] = {
     "motor": {"gear": 1.0},
     "position": {"kp": None, "kv": 0.0},
     "velocity": {"kv": None},
 }
 """Kinds of actuators, their settings and defaults; None where one must be given."""
 
-EVERY = "*"
+ANY_JOINT = "*"
 NOTHING = "none"
-HOW = "write motor (torques), position:kp=30,kv=1 (targets of servos), velocity:kv=2, none, or a YAML file"
+HOW_TO_DECLARE = "write motor (torques), position:kp=30,kv=1 (targets of servos), velocity:kv=2, none, or a YAML file"
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ def parse_actuators(text: str) -> tuple[DeclaredActuator, ...]:
     if text == NOTHING:
         return ()
     kind, _, settings = text.partition(":")
-    if kind in SETTINGS:
+    if kind in ACTUATOR_SETTINGS:
         pairs = [p.partition("=") for p in settings.split(",") if p]
-        return (declared(EVERY, kind, {name.strip(): value for name, _, value in pairs}, f"--actuators {text}"),)
+        return (declared(ANY_JOINT, kind, {name.strip(): value for name, _, value in pairs}, f"--actuators {text}"),)
     path = Path(text)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise ValueError(f"--actuators {text}: {HOW}")
+        raise ValueError(f"--actuators {text}: {HOW_TO_DECLARE}")
     if not path.is_file():
-        raise ValueError(f"--actuators: {path}: no such file; {HOW}")
+        raise ValueError(f"--actuators: {path}: no such file; {HOW_TO_DECLARE}")
     return from_yaml(path)
 
 
@@ -74,8 +74,8 @@ def from_yaml(path: Path) -> tuple[DeclaredActuator, ...]:
     for joint, entry in entries.items():
         where, settings = f"{path}: {joint}", dict(entry) if isinstance(entry, Mapping) else {"type": entry}
         kind = settings.pop("type", None)
-        if kind not in SETTINGS:
-            raise ValueError(f"{where}: type must be one of {', '.join(SETTINGS)}, got {kind!r}")
+        if kind not in ACTUATOR_SETTINGS:
+            raise ValueError(f"{where}: type must be one of {', '.join(ACTUATOR_SETTINGS)}, got {kind!r}")
         made.append(declared(str(joint), str(kind), settings, where))
     return tuple(made)
 
@@ -86,7 +86,7 @@ def declared(joint: str, kind: str, settings: Mapping[str, Any], where: str) -> 
     Raises:
         ValueError: one is unknown, missing or no number above 0.
     """
-    known = SETTINGS[kind]
+    known = ACTUATOR_SETTINGS[kind]
     if unknown := sorted(set(settings) - set(known)):
         raise ValueError(f"{where}: {kind} has no setting {unknown[0]!r}; it has: {', '.join(known)}")
     values = {name: default for name, default in known.items() if default is not None}
@@ -123,7 +123,7 @@ def add_actuators(spec: mujoco.MjSpec, actuators: Sequence[DeclaredActuator], wh
     told = []
     for a in actuators:
         taken = {x.target for x in spec.actuators}
-        names = [n for n in drivable if n not in taken] if a.joint == EVERY else [a.joint]
+        names = [n for n in drivable if n not in taken] if a.joint == ANY_JOINT else [a.joint]
         for name in names:
             if name not in drivable or name in taken:
                 why = "has two actuators" if name in taken else "is not there, or follows another"

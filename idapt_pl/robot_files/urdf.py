@@ -25,7 +25,7 @@ MOST_LISTED = 6
 """Names that a sentence lists."""
 
 
-def named(names: Iterable[str]) -> str:
+def name_list(names: Iterable[str]) -> str:
     """Names in a sentence."""
     every = list(dict.fromkeys(names))
     more = f" and {len(every) - MOST_LISTED} more" if len(every) > MOST_LISTED else ""
@@ -49,7 +49,7 @@ def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
     for tag, words in DROPPED.items():
         if found := root.findall(tag):
             named_joints = [j.get("name", "") for t in found for j in t.iter("joint")]
-            notes.append(f"{words}{f' ({named(named_joints)})' if any(named_joints) else ''}")
+            notes.append(f"{words}{f' ({name_list(named_joints)})' if any(named_joints) else ''}")
             for element in found:
                 root.remove(element)
     compiler_of(root).attrib |= {"strippath": "false", "fusestatic": "true"}
@@ -103,7 +103,7 @@ def drop_shapes(root: ET.Element, folder: Path) -> list[str]:
                 mesh.set("filename", str(path))
     if unseen:
         notes.append(
-            f"{len(set(unseen))} visual meshes are not there ({named(unseen)}): a diagnosis does not need them"
+            f"{len(set(unseen))} visual meshes are not there ({name_list(unseen)}): a diagnosis does not need them"
         )
     return list(dict.fromkeys(notes))
 
@@ -146,17 +146,17 @@ def mend_inertials(root: ET.Element) -> list[str]:
     compiler, notes = compiler_of(root), []
     if shaped:
         notes.append(
-            f"no mass given for {named(shaped)}: it is that of their collision shapes at {WATER} kg/m³, a guess"
+            f"no mass given for {name_list(shaped)}: it is that of their collision shapes at {WATER} kg/m³, a guess"
         )
     if bare:
         compiler.attrib |= {"boundmass": f"{LEAST_MASS}", "boundinertia": f"{LEAST_INERTIA}"}
-        notes.append(f"no mass and no shape for {named(bare)}: {LEAST_MASS} kg, next to nothing")
+        notes.append(f"no mass and no shape for {name_list(bare)}: {LEAST_MASS} kg, next to nothing")
     if zero:
         compiler.attrib |= {"boundinertia": f"{LEAST_INERTIA}"}
-        notes.append(f"no inertia given for {named(zero)}: {LEAST_INERTIA} kg·m², next to nothing")
+        notes.append(f"no inertia given for {name_list(zero)}: {LEAST_INERTIA} kg·m², next to nothing")
     if odd:
         compiler.attrib |= {"balanceinertia": "true"}
-        notes.append(f"inertia of {named(odd)} is that of no body (A + B < C): the mean of the three is taken")
+        notes.append(f"inertia of {name_list(odd)} is that of no body (A + B < C): the mean of the three is taken")
     return notes
 
 
@@ -214,7 +214,7 @@ def joints_lost(root: ET.Element) -> list[str]:
     children = {c.get("link") for j in root.findall("joint") if (c := j.find("child")) is not None}
     bases = [link.get("name", "") for link in root.findall("link") if link.get("name") not in children]
     if bases:
-        notes.append(f"the base ({named(bases)}) is fixed to the world: URDF has no words for one that moves")
+        notes.append(f"the base ({name_list(bases)}) is fixed to the world: URDF has no words for one that moves")
     return notes
 
 
@@ -232,20 +232,20 @@ def joint_notes(joints: list[ET.Element]) -> Iterator[str]:
         return found
 
     if names := those("dynamics", "damping", absent=True):
-        yield f"no damping given for {named(names)}: 0"
+        yield f"no damping given for {name_list(names)}: 0"
     if names := those("dynamics", "friction", absent=True):
-        yield f"no friction given for {named(names)}: 0"
+        yield f"no friction given for {name_list(names)}: 0"
     if names := [j.get("name", "") for j in joints if j.get("type") != "continuous" and no_range(j)]:
-        yield f"no position limits given for {named(names)}: none"
+        yield f"no position limits given for {name_list(names)}: none"
     if names := those("limit", "effort", absent=True):
-        yield f"no effort limits given for {named(names)}: none"
+        yield f"no effort limits given for {name_list(names)}: none"
     if names := those("limit", "velocity"):
-        yield f"velocity limits are dropped, as MuJoCo has none ({named(names)})"
+        yield f"velocity limits are dropped, as MuJoCo has none ({name_list(names)})"
     if names := those("mimic"):
-        yield f"mimic joints follow by a soft constraint, not exactly ({named(names)})"
+        yield f"mimic joints follow by a soft constraint, not exactly ({name_list(names)})"
     for tag in ("safety_controller", "calibration"):
         if names := those(tag):
-            yield f"<{tag}> is not read ({named(names)})"
+            yield f"<{tag}> is not read ({name_list(names)})"
 
 
 def no_range(joint: ET.Element) -> bool:

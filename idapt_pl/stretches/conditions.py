@@ -20,7 +20,7 @@ COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }  # fmt: skip
-HOW = "write for example state == 2, 1.5 < time < 4 or estop == 1 and force[2] > 5"
+HOW_TO_WRITE = "write for example state == 2, 1.5 < time < 4 or estop == 1 and force[2] > 5"
 
 
 class BadCondition(ValueError):
@@ -39,9 +39,9 @@ def parse_condition(text: str) -> ast.expr:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         why = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise BadCondition(f"condition {text[:80]!r} cannot be read ({why}); {HOW}") from None
+        raise BadCondition(f"condition {text[:80]!r} cannot be read ({why}); {HOW_TO_WRITE}") from None
     if problem := first_problem(tree):
-        raise BadCondition(f"condition {text[:80]!r}: {problem}; {HOW}")
+        raise BadCondition(f"condition {text[:80]!r}: {problem}; {HOW_TO_WRITE}")
     return tree
 
 

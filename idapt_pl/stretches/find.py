@@ -23,7 +23,7 @@ FEWEST_STEPS = 2, 5
 MOST_FORECASTS = 20_000
 """Forecasts of a recording; of longer ones they begin further apart."""
 
-USUAL = 0.8
+USUAL_SHARE = 0.8
 """The usual error of a channel is such that this share of the forecasts has less: contacts and switches are in it."""
 
 FAR, NEAR = 6.0, 3.0
@@ -62,7 +62,7 @@ def forecast_errors(sim: Simulator, effects: Effects) -> tuple[list[np.ndarray],
         left_out = sim.data[e].left_out
         kept.append(errors[-1] if left_out is None else errors[-1][~touched(left_out, at, steps)])
     every = np.concatenate(kept)
-    usual = np.quantile(every, USUAL, axis=0) / 1.28 if len(every) else np.ones(int(sim.compared.sum()))
+    usual = np.quantile(every, USUAL_SHARE, axis=0) / 1.28 if len(every) else np.ones(int(sim.compared.sum()))
     return starts, errors, steps, usual + 1e-9
 
 

@@ -98,11 +98,11 @@ def test_the_command_takes_several_files_and_conditions(tmp_path, capsys):
         (["--only", "import os"], "cannot be read"), (["--actuators", "motor"], "has actuators already"),
     ],
 )  # fmt: skip
-def test_bad_options_are_clear_errors_with_exit_code_2(tmp_path, capsys, more, words):
+def test_bad_options_are_clear_errors(tmp_path, capsys, more, words):
     (tmp_path / "nominal.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
     write_trajectories(tmp_path / "m.h5", record(NOMINAL, episodes=2))
     args = ["--model", str(tmp_path / "nominal.xml"), "--data", str(tmp_path / "m.h5"), "--out", str(tmp_path / "out")]
-    assert main(["diagnose", *args, *more]) == 2
+    assert main(["diagnose", *args, *more]) == 1
     assert words in " ".join(capsys.readouterr().err.split()) and not (tmp_path / "out").exists()
 
 
@@ -114,7 +114,7 @@ def test_a_urdf_with_torques_gets_a_diagnosis(tmp_path, capsys):
     (tmp_path / "swing.urdf").write_text(urdf)
     write_trajectories(tmp_path / "m.h5", record(0.06))
     args = ["diagnose", "--model", str(tmp_path / "swing.urdf"), "--data", str(tmp_path / "m.h5")]
-    assert main([*args, "--out", str(tmp_path / "no")]) == 2
+    assert main([*args, "--out", str(tmp_path / "no")]) == 1
     assert "--actuators motor (torques)" in " ".join(capsys.readouterr().err.split())
     more = ["--actuators", "motor", "--candidates", "joint_damping", "--out", str(tmp_path / "out"), "--threads", "1"]
     assert main([*args, *more]) == 0
