@@ -58,16 +58,17 @@ class SequenceFaults:
 
 def find_sequence_faults(model: mujoco.MjModel, data: Trajectories) -> SequenceFaults:
     """Look at every episode; nothing is found where velocities were not measured or time stamps tell the time."""
-    joints, lost, swapped, first = ScalarJoints.of(model), [], [], []
+    joints = ScalarJoints.of(model)
+    lost, swapped, first = list[np.ndarray](), list[tuple[int, ...]](), list[int]()
     channels = [channels_of_episode(model, i, e, joints) for i, e in enumerate(data)]
     usual, alike = usual_mismatch(channels, data.dt), rows_alike([c for c in channels if c is not None])
     for c in channels:
-        if c is None or usual is None:
-            lost.append(np.zeros(0, int)), swapped.append(()), first.append(0)
-            continue
-        begin = rows_before_first(c, data.dt, usual, alike)
-        found = swapped_rows(c, data.dt, usual)
-        lost.append(lost_rows(c, data.dt, usual, {*found, *(k + d for k in found for d in (-1, 1)), *range(begin)}))
+        begin, found, missing = 0, tuple[int, ...](), np.zeros(0, int)
+        if c is not None and usual is not None:
+            begin, found = rows_before_first(c, data.dt, usual, alike), swapped_rows(c, data.dt, usual)
+            explained = {*found, *(k + d for k in found for d in (-1, 1)), *range(begin)}
+            missing = lost_rows(c, data.dt, usual, explained)
+        lost.append(missing)
         swapped.append(found)
         first.append(begin)
     return SequenceFaults(tuple(lost), tuple(swapped), tuple(first))

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,8 @@ def effects_at_ends(diagnosis: Diagnosis) -> Iterator[Effects]:
         found = estimates.get((effect.name, effect.target))
         for name, low_or_high in ends_of(found) if found and effect not in diagnosis.declared else ():
             try:
-                moved = replace(effect, **{name: low_or_high})
+                changed: Any = {name: low_or_high}
+                moved = replace(effect, **changed)
             except ValueError:  # an end outside the bounds of the effect
                 continue
             yield (*diagnosis.effects[:k], moved, *diagnosis.effects[k + 1 :])

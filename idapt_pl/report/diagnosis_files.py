@@ -24,7 +24,7 @@ from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.fault_section import fault_section
 from idapt_pl.report.html import paragraph, section
-from idapt_pl.report.sets_section import comparison_section
+from idapt_pl.report.sets_section import common_is_worse, comparison_section
 from idapt_pl.report.settings_table import settings_markdown, settings_to_take
 from idapt_pl.report.stretch_section import stretch_section
 from idapt_pl.stretches import StretchReport
@@ -76,6 +76,7 @@ class RecordingNotes:
             changed, unlike = len(self.comparison.changed), len(self.comparison.unlike)
             made.append(f"Values that differ between the {len(self.comparison.sets)} files: {changed}.")
             made += [f"Files unlike the others: {unlike}."] * bool(unlike)
+            made += [told] if (told := common_is_worse(self.comparison)) else []
         return made
 
     def sections(self) -> list[str]:

@@ -12,6 +12,10 @@ from idapt_pl.report.html import figure, paragraph, row, section, table
 from idapt_pl.report.plots import AFTER, BEFORE, NOISE, escape_mathtext, svg
 
 
+COMMON_IS_WORSE = 1.3
+"""Errors with the common answer, in those with a file's own values, from which the common answer is not enough."""
+
+
 def name_of_value(value: SetValue, comparison: SetComparison) -> str:
     """A value in words: the effect, and the parameter where it has several."""
     effect, target, parameter = value
@@ -27,6 +31,8 @@ def comparison_sentences(comparison: SetComparison) -> list[str]:
         made.append(f"None of the values found differs surely between the {files} files.")
     if not comparison.sets[0].values:
         made.append(f"No effect was found in all {files} files together, so there are no values to compare.")
+    if told := common_is_worse(comparison):
+        made.append(told)
     for r in comparison.sets:
         if r.recordings.name in comparison.unlike:
             made.append(
@@ -34,6 +40,17 @@ def comparison_sentences(comparison: SetComparison) -> list[str]:
                 "others: something else differs there; diagnose it alone."
             )
     return made
+
+
+def common_is_worse(comparison: SetComparison) -> str:
+    """That one value for all files leaves more than each file's own, where it does; else empty."""
+    worst = max(comparison.sets, key=lambda r: r.common / max(r.own, 1e-9))
+    if worst.common < COMMON_IS_WORSE * worst.own or not comparison.changed:
+        return ""
+    return (
+        f"One value for all files leaves {format_number(worst.common)} times the noise in {worst.recordings.name}, its own "
+        f"{format_number(worst.own)}: take each file's own values."
+    )
 
 
 def changed_sentence(c: ChangedValue, comparison: SetComparison) -> str:

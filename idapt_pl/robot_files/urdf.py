@@ -128,7 +128,7 @@ def find_robot_mesh(mesh: ET.Element, folder: Path) -> Path | None:
 def mend_inertials(root: ET.Element) -> list[str]:
     """Give masses and inertias that MuJoCo takes; a sentence for each kind of what is missing."""
     moving = moving_links(root)
-    shaped, bare, zero, odd = [], [], [], []
+    shaped, bare, zero, odd = (list[str]() for _ in range(4))
     for link in root.findall("link"):
         name, inertial = link.get("name", ""), link.find("inertial")
         mass, inertia = mass_and_inertia(inertial)

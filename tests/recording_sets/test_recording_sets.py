@@ -52,6 +52,7 @@ def test_the_comparison_in_words_and_on_the_page(comparisons):
     risen, alike = comparisons
     assert "rose from" in comparison_sentences(risen)[0] and "in 2.h5" in comparison_sentences(risen)[0]
     assert comparison_sentences(alike) == ["None of the values found differs surely between the 2 files."]
+    assert "take each file's own values" in comparison_sentences(risen)[1]
     page = comparison_section(risen)
     assert page.count("<svg") == 1 and "File by file" in page and comparison_section(None) == ""
 
