@@ -62,10 +62,11 @@ def find_sequence_faults(model: mujoco.MjModel, data: Trajectories) -> SequenceF
     lost, swapped, first = list[np.ndarray](), list[tuple[int, ...]](), list[int]()
     channels = [channels_of_episode(model, i, e, joints) for i, e in enumerate(data)]
     usual, alike = usual_mismatch(channels, data.dt), rows_alike([c for c in channels if c is not None])
-    for c in channels:
-        begin, found, missing = 0, tuple[int, ...](), np.zeros(0, int)
+    begins = rows_before_first(channels, data.dt, usual, alike)
+    for c, begin in zip(channels, begins, strict=True):
+        found, missing = tuple[int, ...](), np.zeros(0, int)
         if c is not None and usual is not None:
-            begin, found = rows_before_first(c, data.dt, usual, alike), swapped_rows(c, data.dt, usual)
+            found = swapped_rows(c, data.dt, usual)
             explained = {*found, *(k + d for k in found for d in (-1, 1)), *range(begin)}
             missing = lost_rows(c, data.dt, usual, explained)
         lost.append(missing)
@@ -159,19 +160,27 @@ def rows_alike(channels: list[JointMotion]) -> np.ndarray:
     return common[: int(np.argmin(same)) if not same.all() else len(same)]
 
 
-def rows_before_first(motion: JointMotion, dt: float, usual: np.ndarray, alike: np.ndarray) -> int:
-    """Rows at the start that are no measurements: all episodes begin with them, and they do not lead to the next row.
+def rows_before_first(
+    channels: list[JointMotion | None], dt: float, usual: np.ndarray | None, alike: np.ndarray
+) -> list[int]:
+    """Of each episode, rows at its start that are no measurements; 0 for all where that is not certain.
+
+    Episodes begin with them alike, and in half of these at least they do not lead to the next row.
 
     Args:
-        motion: of the episode.
+        channels: of each episode.
         dt: control period, s.
         usual: mismatch of each joint, (n,).
         alike: first rows that episodes have in common, (rows, 2 n).
     """
     n = len(alike)
-    if not n or not np.array_equal(np.concatenate([x[:n] for x in motion], 1), alike):
-        return 0
-    return n if size(mismatch(motion, dt, np.array([n - 1])), usual)[0] > FAR_FROM_USUAL else 0
+    begun = [c is not None and np.array_equal(np.concatenate([x[:n] for x in c], 1), alike) for c in channels]
+    if not n or usual is None:
+        return [0] * len(channels)
+    last = np.array([n - 1])
+    off = [size(mismatch(c, dt, last), usual)[0] for c, b in zip(channels, begun, strict=True) if b and c is not None]
+    certain = len(off) >= 2 and np.mean(np.array(off) > FAR_FROM_USUAL) >= 0.5
+    return [n * (b and bool(certain)) for b in begun]
 
 
 # --- and what is done about it --------------------------------------------------------------------------
