@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,7 +10,7 @@ from idapt_pl.diagnosis.result import ParameterEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
 from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 from idapt_pl.report.html import figure, paragraph, row, section, table
-from idapt_pl.report.plots import AFTER, BEFORE, NOISE, escape_mathtext, svg
+from idapt_pl.report.plots import AFTER, BEFORE, NOISE, STYLE, escape_mathtext, svg
 
 COMMON_IS_WORSE = 1.3
 """Errors with the common answer, in those with a file's own values, from which the common answer is not enough."""
@@ -101,10 +102,16 @@ def comparison_section(comparison: SetComparison | None) -> str:
     parts.append(table([h if i < 2 else f"#{h}" for i, h in enumerate(heads)], rows))
     parts.append(paragraph(caption, "small"))
     if comparison.sets[0].values:
-        drawn = f'<div class="wide">{svg(values_figure(comparison))}</div>'
+        drawn = f'<div class="wide">{styled_values_figure(comparison)}</div>'
         told = "Values by file, with 95 % intervals; the band is the common answer. Red: differs between files."
         parts.append(figure(drawn, told))
     return section("File by file", *parts)
+
+
+def styled_values_figure(comparison: SetComparison) -> str:
+    """The picture as SVG, in the style of all."""
+    with matplotlib.rc_context(STYLE):
+        return svg(values_figure(comparison))
 
 
 def values_figure(comparison: SetComparison) -> Figure:

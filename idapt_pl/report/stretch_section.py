@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from html import escape
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import details, figure, paragraph, row, section, table
-from idapt_pl.report.plots import BEFORE, MEASURED, NOISE, svg
+from idapt_pl.report.plots import BEFORE, MEASURED, NOISE, STYLE, svg
 from idapt_pl.stretches.stretch import Stretch, StretchReport
 
 MOST_LANES = 12
@@ -71,7 +72,7 @@ def stretch_section(report: StretchReport | None) -> str:
         "recording (it takes 6). It is the model with the effects found that forecasts."
     )
     words = [paragraph(s) for s in stretch_sentences(report)]
-    picture = figure(f'<div class="wide">{svg(timeline_figure(report))}</div>', timeline_caption(report))
+    picture = figure(f'<div class="wide">{styled_timeline_figure(report)}</div>', timeline_caption(report))
     listed = table(heads, rows) + paragraph(caption, "small")
     listed = listed if len(rows) <= MOST_LANES else details(f"all {len(rows)} stretches", listed)
     share = paragraph(f"That is {100 * report.share:.2g} % of the recordings.")
@@ -100,6 +101,12 @@ def lanes_of(report: StretchReport) -> list[int]:
     touched = {s.episode for s in report.stretches}
     order = sorted(range(len(report.lengths)), key=lambda e: (e not in touched, e))
     return sorted(order[:MOST_LANES])
+
+
+def styled_timeline_figure(report: StretchReport) -> str:
+    """The picture as SVG, in the style of all."""
+    with matplotlib.rc_context(STYLE):
+        return svg(timeline_figure(report))
 
 
 def timeline_figure(report: StretchReport) -> Figure:
