@@ -52,6 +52,13 @@ ORDER = (
     "rehearsal_policy",
     "estimator_policy",
     "filter_policy",
+    "hardened_teacher",
+    "hardened_rehearsal_teacher",
+    "hardened_estimator_teacher",
+    "hardened_filter_teacher",
+    "hardened_rehearsal_policy",
+    "hardened_estimator_policy",
+    "hardened_filter_policy",
     "policy",
     "evaluation",
 )

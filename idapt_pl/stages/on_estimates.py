@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from datamodules.on_policy import encode_all
 from datamodules.stacks import FrameStacks
 from datamodules.stretches import ReadEpisode, StretchDataModule
 from datamodules.unpaired import read_all
+from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
@@ -57,15 +59,48 @@ def fit_on_estimates(
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
-    pi, files = copy.deepcopy(start), list(labelled)
+    pi, rehearsed = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
+    if prefix:
+        return pi
+
+    def grounded(device: torch.device) -> GroundedEnv:
+        return c.worlds.grounded(c.batches.num_envs, G, F)
+
+    errors = partial(errors_of_estimates, pi, rehearsed)
+    hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
+    if hardened is None:
+        return pi
+    return in_rehearsals(c, step, "hardened_", lengths, labelled, hardened, pi, G, F)[0]
+
+
+def in_rehearsals(
+    c: StageContext, step: int, prefix: str, lengths: StageLengths, labelled: Sequence[Path], teacher: StateSAC,
+    start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None,
+) -> tuple[AsymmetricSAC, list[Path]]:  # fmt: skip
+    """π as of :func:`fit_on_estimates`, for one teacher, and the files of its rehearsals."""
+    pi, rehearsed = copy.deepcopy(start), []
     take_over(teacher, pi)
     for part in ("teacher", "policy"):
         acting = pi if part == "policy" else None  # as it is by then
-        files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
+        rehearsed.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
+        files = [*labelled, *rehearsed]
         pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
         take_over(teacher, pi)
         pi = fit_filter(c, step, f"{prefix}filter_{part}", files, lengths.filter // 2, pi)
-    return pi
+    return pi, rehearsed
+
+
+@torch.no_grad()
+def errors_of_estimates(pi: AsymmetricSAC, files: Sequence[Path]) -> list[np.ndarray]:
+    """How far a policy's estimates are off in labelled episodes, (T+1, s) each, in the states' units."""
+    assert pi.filter is not None  # policy.memory is above 0
+    errors = []
+    for episode in read_episodes(pi, files):
+        readings, actions = (torch.from_numpy(a)[None].to(pi.device) for a in (episode.readings, episode.actions))
+        estimates, _ = pi.filter(readings, actions, readings.new_zeros(1, pi.filter.hidden))
+        wrong = pi.filter.bounded(estimates[0]).cpu() - torch.from_numpy(episode.states)
+        errors.append((wrong * pi.actor.encoder.std.cpu()).numpy())
+    return errors
 
 
 def rehearse(
