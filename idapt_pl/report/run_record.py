@@ -52,6 +52,7 @@ ORDER = (
     "rehearsal_policy",
     "estimator_policy",
     "filter_policy",
+    "trial_rehearsal",
     "hardened_teacher",
     "hardened_rehearsal_teacher",
     "hardened_estimator_teacher",

@@ -245,20 +245,24 @@ class Distillation:
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
+    @property
+    def to_be_hardened(self) -> bool:
+        """Whether the teacher is one that has not yet learned to bear measured errors, and shall."""
+        return self.settings.harden > 0 and self.expert is not self._hardened
+
     def hardened(
         self, step: int, build: Callable[[], AsymmetricSAC], errors: Callable[[], Sequence[np.ndarray]],
         make_env: Callable[[torch.device], VectorEnv], F: ActionTransformation | None,
-    ) -> StateSAC | None:  # fmt: skip
-        """The teacher after it has learned to bear measured errors (T, s); None if there is nothing (more) to do."""
-        known = self.expert
-        if known is None or not self.settings.harden or known is self._hardened:
-            return None
+    ) -> StateSAC:  # fmt: skip
+        """The teacher of :meth:`up_to_date` after it has learned to bear measured errors (T, s)."""
         recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=self.settings.harden)
+        known = self.expert
+        assert known is not None  # to_be_hardened
 
         def make(device: torch.device) -> VectorEnv:
             return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
-        build_expert = partial(copy.deepcopy, known)
+        build_expert: Callable[[], StateSAC] = partial(copy.deepcopy, known)
         self.expert = fit_expert(build_expert, make, recipe, self.stages, step, "hardened_teacher", False, errors)
         self._hardened = self.expert
         return self.expert

@@ -59,35 +59,33 @@ def fit_on_estimates(
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
-    pi, rehearsed = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
-    if prefix:
+    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
+    if prefix or not c.teacher.to_be_hardened:
         return pi
+    trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
 
     def grounded(device: torch.device) -> GroundedEnv:
         return c.worlds.grounded(c.batches.num_envs, G, F)
 
-    errors = partial(errors_of_estimates, pi, rehearsed)
+    errors = partial(errors_of_estimates, pi, [trial])
     hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
-    if hardened is None:
-        return pi
-    return in_rehearsals(c, step, "hardened_", lengths, labelled, hardened, pi, G, F)[0]
+    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F)
 
 
 def in_rehearsals(
     c: StageContext, step: int, prefix: str, lengths: StageLengths, labelled: Sequence[Path], teacher: StateSAC,
     start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None,
-) -> tuple[AsymmetricSAC, list[Path]]:  # fmt: skip
-    """π as of :func:`fit_on_estimates`, for one teacher, and the files of its rehearsals."""
-    pi, rehearsed = copy.deepcopy(start), []
+) -> AsymmetricSAC:  # fmt: skip
+    """π as of :func:`fit_on_estimates`, with this teacher."""
+    pi, files = copy.deepcopy(start), list(labelled)
     take_over(teacher, pi)
     for part in ("teacher", "policy"):
         acting = pi if part == "policy" else None  # as it is by then
-        rehearsed.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
-        files = [*labelled, *rehearsed]
+        files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
         pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
         take_over(teacher, pi)
         pi = fit_filter(c, step, f"{prefix}filter_{part}", files, lengths.filter // 2, pi)
-    return pi, rehearsed
+    return pi
 
 
 @torch.no_grad()

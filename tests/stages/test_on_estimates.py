@@ -259,7 +259,7 @@ def test_a_run_hardens_every_teacher_that_is_new_and_rehearses_with_it(run):
     assert not torch.equal(soft, hard) and torch.equal(hard, acting)
     adapted, again, acting = heads(1, "teacher", "hardened_teacher", "policy")  # F is new, and so is its teacher
     assert not torch.equal(adapted, again) and torch.equal(again, acting)
-    assert (run / "step_01/hardened_rehearsal_policy.h5").exists()
+    assert (run / "step_01/trial_rehearsal.h5").exists()
 
 
 def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
@@ -310,7 +310,7 @@ def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeyp
     monkeypatch.setattr(f"{stages}.fit_encoder_on", lambda c, k, name, files, n, pi: marked(pi, len(files)))
     monkeypatch.setattr(f"{stages}.fit_filter", lambda c, k, name, files, n, pi: marked(pi, 10 + len(files)))
     lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
-    learned, _ = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None)
+    learned = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None)
     assert played[0] is None and played[1].number == 12 and learned.number == 13
 
 
