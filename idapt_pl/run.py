@@ -69,7 +69,7 @@ class Run:
             task, task.domain("source"), make_target(config.target, task), ledger,
             config.image_size, config.frame_stack, config.view, processes,
         )  # fmt: skip
-        if config.effects.discover or config.labels.members:  # better said before hours of G
+        if config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         if config.oracle and not worlds.target.has_states:
             raise ValueError(f"oracle: it would train on the states of {worlds.target.name}, which are not known")
