@@ -70,6 +70,7 @@ class IterativeGrounding:
         schedule: what is done, and for how long.
         effects: whether effects are sought that the source lacks.
         aside: starts what the rest does not wait for: the source policy beside G, measurements beside the next step.
+        randomised: whether policies train in variants of the source within the intervals of the effects that are found.
 
     Raises:
         ValueError: if the exploration needs a teacher and there is none.
@@ -82,10 +83,11 @@ class IterativeGrounding:
         schedule: Schedule,
         effects: DiscoverySettings = NO_DISCOVERY,
         aside: Aside = in_turn,
+        randomised: bool = False,
     ) -> None:
         self.aside = aside
         self.context, self.evaluation, self.schedule = context, evaluation, schedule
-        self.repair = SourceRepair(context, effects, self.record_control)
+        self.repair = SourceRepair(context, effects, self.record_control, randomised)
         self.rollback = Rollback(context.worlds, context.stages, schedule.rollback)
         if schedule.exploration == "rehearse" and not context.teacher.settings.steps:
             raise ValueError(

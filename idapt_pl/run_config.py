@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jsonargparse import ArgumentParser, Namespace
 
@@ -15,6 +15,7 @@ from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.nets.encoder import Vision
+from idapt_pl.randomisation import RandomisationSettings
 from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stages.distillation import TeacherSettings
@@ -34,11 +35,15 @@ MODULES: dict[str, type] = {
 }
 """What is learned, by its key in a config."""
 
+METHOD_NAMES = ("idapt", "source", "oracle")
+"""What ``idapt fit`` can run (:mod:`idapt_pl.baselines.methods`)."""
+
 SETTINGS: dict[str, type] = {
     "view": View,
     "schedule": Schedule,
     "effects": DiscoverySettings,
     "feeding": BatchSettings,
+    "randomisation": RandomisationSettings,
     "teacher": TeacherSettings,
     "filter": FilterSettings,
     "labels": LabelSettings,
@@ -55,6 +60,7 @@ class RunConfig:
         task: name of the task.
         task_options: of the constructor of a task that is not one of ours.
         target: name of the target domain, or what else it is (:mod:`idapt_pl.targets`).
+        method: what is run: :data:`METHOD_NAMES`.
         seed: root seed; every stage derives its own.
         run_dir: run folder; None for ``runs/<task>_<target>_<seed>``.
         image_size: side of the rendered images, pixels.
@@ -67,6 +73,7 @@ class RunConfig:
         view: the part of the camera's image that is rendered.
         schedule: what Algorithm 1 does, and for how long.
         effects, feeding, teacher: whether effects are sought; sizes of batches and rollouts; a privileged teacher.
+        randomisation: what policies train in, if that is not the source as it is.
         filter: how the policy's filter learns, if it has one.
         labels: how images of the target get states to learn from, if they do.
         vision: how images are looked at.
@@ -76,6 +83,7 @@ class RunConfig:
     task: str
     task_options: dict[str, Any]
     target: str | dict[str, Any]
+    method: str
     seed: int
     run_dir: str | None
     image_size: int
@@ -89,6 +97,7 @@ class RunConfig:
     schedule: Schedule
     effects: DiscoverySettings
     feeding: BatchSettings
+    randomisation: RandomisationSettings
     teacher: TeacherSettings
     filter: FilterSettings
     labels: LabelSettings
@@ -114,6 +123,13 @@ class RunConfig:
             type=dict[str, Any] | str,
             default="hard",
             help="target domain, easy or hard; or {env: MODULE:NAME}, {task: TASK} with what the guide says of them",
+        )
+        parser.add_argument(
+            "--method",
+            type=Literal[METHOD_NAMES],
+            default="idapt",
+            help="Algorithm 1 (idapt), or a baseline with its settings: a policy of the source alone, randomised where "
+            "--randomisation says so (source), or of the target with its reward (oracle)",
         )
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
         parser.add_argument(

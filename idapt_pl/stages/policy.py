@@ -41,7 +41,7 @@ def fit_source_policy(
     """
 
     def make_env(device: torch.device) -> VectorEnv:
-        return c.worlds.source(c.batches.num_envs)
+        return c.worlds.training_source(c.batches.num_envs)
 
     def build() -> AsymmetricSAC:
         return c.new_policy(P_S.P_S)
@@ -72,7 +72,8 @@ def fit_grounded_policy(
     """
 
     def make_env(device: torch.device) -> VectorEnv:
-        return c.worlds.grounded(c.batches.num_envs, G.to(device), F.to(device) if F is not None else None)
+        source = c.worlds.training_source(c.batches.num_envs)
+        return c.worlds.grounded_over(source, G.to(device), F.to(device) if F is not None else None)
 
     initial = pi
     if c.teacher.settings.rehearse:

@@ -12,6 +12,7 @@ from idapt_pl.files import write_yaml
 from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.randomisation import found_intervals
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import effects_from_known_starts
 
@@ -24,11 +25,14 @@ class SourceRepair:
         context: of the run.
         settings: whether and what to look for.
         record_control: grounding step to a new recording of the source as it is, from exploration, with states.
+        randomised: whether policies train in variants of the source from then on, within the intervals of what is
+            found.
     """
 
     context: StageContext
     settings: DiscoverySettings
     record_control: Callable[[int], Path]
+    randomised: bool = False
 
     def visual_effects(self, D_T: Path) -> None:
         """Add the visual effects that the first frames of the target's episodes show the source to lack."""
@@ -59,10 +63,14 @@ class SourceRepair:
             )
             return found.to_dict()
 
-        found = self.context.stages.measure(k, "effects", make)["effects"]
+        result = self.context.stages.measure(k, "effects", make)
+        found, refined = result["effects"], []
         if self.settings.refine:
             found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
+            refined = self.context.stages.read(k, "known_start_search")["parameters"]
         self._add(k, found)
+        if found and self.randomised:
+            worlds.distribution = found_intervals(found, result["estimates"], refined)
         return bool(found)
 
     def _add(self, k: int, found: list[dict]) -> None:

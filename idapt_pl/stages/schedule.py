@@ -161,6 +161,12 @@ class Schedule:
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
 
 
+def policy_steps(schedule: Schedule) -> int:
+    """Environment steps of all of a run's policies together, which references and baselines train for."""
+    steps = length_of(schedule.source_policy) + length_of(schedule.pretrain.policy)
+    return steps + length_of(schedule.grounding_steps) * length_of(schedule.finetune.policy)
+
+
 def check_memory(memory: int, rehearse: int, members: int, schedule: Schedule) -> None:
     """A policy with a memory is a teacher on estimates, which are learned in rehearsals.
 
