@@ -18,7 +18,6 @@ from idapt_pl.stages.collection import (
     record_source,
     record_target,
     replay_in_source,
-    source_teacher,
 )
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
@@ -176,8 +175,7 @@ class IterativeGrounding:
 
     def explore_target(self) -> Path:
         """D^T: images of the target, from exploration."""
-        if self.schedule.exploration == "rehearse":
-            source_teacher(self.context)  # here, so that its training is a stage and not part of the recording
+        self.explore(0)  # here, so that training who explores is a stage and not part of the recording
         return record_target(self.context, 0, self.explore, self.schedule.images, self.schedule.exploration_horizon)
 
     def explore_source(self) -> Path:

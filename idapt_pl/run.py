@@ -73,6 +73,7 @@ class Run:
             config.randomisation.variants, config.seed,
         )  # fmt: skip
         check_randomisation(config, worlds)
+        check_exploration(config, worlds)
         if config.effects.discover or config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         if (config.oracle or config.method == "oracle") and not worlds.target.has_states:
@@ -196,6 +197,22 @@ def check_randomisation(config: RunConfig, worlds: Worlds) -> None:
     except ValueError as error:
         where = ranges if isinstance(ranges, str) else "as given"
         raise ValueError(f"randomisation.ranges ({where}) do not suit {worlds.task.name}: {error}") from None
+
+
+def check_exploration(config: RunConfig, worlds: Worlds) -> None:
+    """Whether there can be a policy that explores.
+
+    Raises:
+        ValueError: saying why not.
+    """
+    kinds = (config.schedule.exploration or "").split("+")
+    if "backwards" in kinds:
+        worlds.task.backwards()
+    if {"backwards", "expert"} & set(kinds) and not worlds.target.has_states and config.method != "source":
+        raise ValueError(
+            f"schedule.exploration: {config.schedule.exploration} acts on true states, which {worlds.target.name} does "
+            "not show. Drive it yourself and give target.recordings, or explore by babble or random"
+        )
 
 
 def check_recordings(target: Target, schedule: Schedule) -> None:

@@ -35,7 +35,7 @@ MODULES: dict[str, type] = {
 }
 """What is learned, by its key in a config."""
 
-METHOD_NAMES = ("idapt", "source", "oracle")
+METHOD_NAMES = ("idapt", "source", "oracle", "cc_state", "cc_image")
 """What ``idapt fit`` can run (:mod:`idapt_pl.baselines.methods`)."""
 
 SETTINGS: dict[str, type] = {
@@ -129,7 +129,8 @@ class RunConfig:
             type=Literal[METHOD_NAMES],
             default="idapt",
             help="Algorithm 1 (idapt), or a baseline with its settings: a policy of the source alone, randomised where "
-            "--randomisation says so (source), or of the target with its reward (oracle)",
+            "--randomisation says so (source), or of the target with its reward (oracle), or a policy of the source on "
+            "what is read of the target's images (cc_state) or on the images translated back (cc_image)",
         )
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
         parser.add_argument(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from idapt_pl.baselines.correspondence import ImageCorrespondence, StateCorrespondence
 from idapt_pl.baselines.oracle import train_oracle
 from idapt_pl.baselines.source_only import SourceOnly
 from idapt_pl.grounding import IterativeGrounding
@@ -39,5 +40,7 @@ METHODS: dict[str, Callable[[IterativeGrounding], Method]] = {
     "idapt": itself,
     "source": SourceOnly,
     "oracle": OracleAlone,
+    "cc_state": StateCorrespondence,
+    "cc_image": ImageCorrespondence,
 }
 """What is done with the settings of a run."""

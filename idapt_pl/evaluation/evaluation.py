@@ -88,6 +88,14 @@ class Evaluation:
         kept.forget()
         return result
 
+    def measured(self, step: int, make: Callable[[int], dict]) -> dict:
+        """What a baseline measures after a step, as ``evaluation.json`` and on the ledger."""
+        result = self.keeping(step, "evaluation", "evaluation", lambda seed, kept: make(seed))
+        if there := result["target"]:
+            log.info("step %d  target return %.1f ± %.1f", step, there["mean"], there["std"])
+        self.worlds.ledger.enter(step, "evaluation", evaluation_interactions(self.stages.folder(step), result))
+        return result
+
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
         """The source policy, as it is, in the target."""
 

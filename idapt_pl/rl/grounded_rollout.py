@@ -46,6 +46,7 @@ def garat_rollout(
         Tensors of shape (length, n, ...): ``features``, ``actions`` (the policy's), ``delta`` (F's sample),
         ``next_features``, ``next_actions``, ``ends`` (bool; the next row is another episode).
     """
+    look_into(explore, env)
     obs, _ = env.reset(seed=seed)
     device = F.device
 
