@@ -5,9 +5,9 @@
     python benchmarks/baselines.py --config cheetah_quick --methods idapt dr_narrow
 
 A method is a preset over a config: ``idapt fit --config configs/<config>.yaml --config configs/presets/<method>.yaml``;
-``idapt`` is the config as it is. Finished runs are not repeated. Writes results/baselines.csv: ``mean`` and ``std`` are of
-the run's last policy in the target, ``target_interactions`` what it trained with there, ``reference_interactions`` those of
-the oracle. Failures stay in the table.
+``idapt`` is the config as it is. Finished runs are not repeated. Writes results/baselines.csv: ``mean`` and ``std`` are
+of the run's last policy in the target, ``target_interactions`` what it trained with there, ``reference_interactions``
+those of the oracle. Failures stay in the table.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from tables import replace_rows
 
 ROOT = Path(__file__).parents[1]
 METHODS = (
-    "direct_transfer", "oracle", "idapt", "dr_narrow", "dr_paper_narrow", "dr_wide", "adaptive_rl", "cc_state", "cc_image",
-    "visual_only", "no_state_reconstruction", "newest_data", "dr_grounded", "data_random", "data_expert",
+    "direct_transfer", "oracle", "idapt", "dr_narrow", "dr_paper_narrow", "dr_wide", "adaptive_rl", "cc_state",
+    "cc_image", "visual_only", "no_state_reconstruction", "newest_data", "dr_grounded", "data_random", "data_expert",
     "data_random_expert", "paper_small",
 )  # fmt: skip
 FIELDS = (

@@ -18,7 +18,7 @@ from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.modules import AsymmetricSAC, RecurrentSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.randomisation import FOUND
 from idapt_pl.rendering.parallel import usual_processes
@@ -266,4 +266,6 @@ def module_factories(config: RunConfig) -> ModuleFactories:
     made: dict[str, Callable] = {name: functools.partial(m, **config.modules[name]) for name, m in MODULES.items()}
     for name in ("state_predictor", "visual", "policy"):
         made[name] = functools.partial(made[name], vision=config.vision)
+    if config.modules["policy"]["recurrent"]:
+        made["policy"] = functools.partial(RecurrentSAC, **config.modules["policy"], vision=config.vision)
     return ModuleFactories(**made)

@@ -176,6 +176,7 @@ class RunConfig:
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
         made.check_ranges()
         made.check_encoder()
+        made.check_recurrence()
         return made
 
     @classmethod
@@ -222,6 +223,20 @@ class RunConfig:
                     f"{key} is {number} steps for the {self.feeding.num_envs} simulations of feeding.num_envs: "
                     "nothing would be trained. Give at least one step for each, or 0"
                 )
+
+    def check_recurrence(self) -> None:
+        """A recurrent policy learns by SAC alone, in the source.
+
+        Raises:
+            ValueError: if it is to do something else.
+        """
+        policy = self.modules["policy"]
+        if policy["recurrent"] and (self.method != "source" or self.teacher.steps or policy["memory"]):
+            raise ValueError(
+                f"policy.recurrent is {policy['recurrent']}, for policies that SAC trains in the source: set method: "
+                "source, teacher.steps: 0 and policy.memory: 0, as configs/presets/adaptive_rl.yaml does, or "
+                "policy.recurrent: 0"
+            )
 
     def check_encoder(self) -> None:
         """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from idapt_pl.effects import WHOLE, Domain, Effect, View
-from idapt_pl.effects.distribution import DomainDistribution
+from idapt_pl.effects.distribution import ALWAYS_THE_SAME, DomainDistribution
 from idapt_pl.envs import ActionMap, BlindTarget, GroundedEnv, ImageEnv, VectorImageEnv, VectorStateEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
@@ -32,7 +32,7 @@ class Worlds:
     frame_stack: int
     view: View = WHOLE
     render_processes: int = 0
-    distribution: DomainDistribution = DomainDistribution()
+    distribution: DomainDistribution = ALWAYS_THE_SAME
     variant_count: int = 32
     variant_seed: int = 0
 

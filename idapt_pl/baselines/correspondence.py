@@ -1,9 +1,9 @@
 """Correspondences (CC; Zhang et al. 2021): the source's policy is kept, and what the target shows is translated for it.
 
 CC-State: a policy on states acts on what P^T reads of the target's images. CC-Image: a policy on images acts on the
-target's images as the backward generator shows them. Both are of the source and learn nothing of the target's physics. As in
-the paper the correspondence is learned from unpaired task-agnostic data and then from the policy's own, step by step. The
-mapping of actions that CC learns besides is left out.
+target's images as the backward generator shows them. Both are of the source and learn nothing of the target's physics.
+As in the paper the correspondence is learned from unpaired task-agnostic data and then from the policy's own, step by
+step. The mapping of actions that CC learns besides is left out.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Policies that know the source alone: direct transfer, and with randomisation DR (Tobin et al. 2017, Peng et al. 2018)."""
+"""Policies that know the source alone: direct transfer, and DR (Tobin et al. 2017, Peng et al. 2018)."""
 
 from __future__ import annotations
 

@@ -235,6 +235,10 @@ class DomainDistribution:
             self.extreme(domain, i).compile()
 
 
+ALWAYS_THE_SAME = DomainDistribution()
+"""Nothing is drawn."""
+
+
 def distribution_from(entries: Any) -> DomainDistribution:
     """From the YAML form: one entry or a list of them.
 
@@ -284,5 +288,3 @@ def within_intervals(found: Sequence[Mapping[str, Any]]) -> DomainDistribution:
 def effects_of(domain: Domain) -> list[dict[str, Any]]:
     """A domain's effects in their YAML form."""
     return [effect.to_dict() for effect in domain.effects]
-
-

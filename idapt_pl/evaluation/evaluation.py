@@ -39,9 +39,7 @@ class Evaluation:
         method: for the summary.
     """
 
-    def __init__(
-        self, worlds: Worlds, stages: Stages, episodes: int, target_name: str, method: str = "idapt"
-    ) -> None:
+    def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str, method: str = "idapt") -> None:
         self.worlds, self.stages, self.episodes = worlds, stages, episodes
         self.target_name, self.method = target_name, method
 

@@ -95,7 +95,9 @@ class ExpertAtTheControls:
     def __call__(self, pixels: np.ndarray) -> np.ndarray:
         """Actions (n, nu) for the states of now, whatever the images show."""
         if self._env is None:
-            raise ValueError(f"schedule.exploration: {self.name} acts on true states, and there is nothing to look into")
+            raise ValueError(
+                f"schedule.exploration: {self.name} acts on true states, and there is nothing to look into"
+            )
         return self.expert.act(self._env.states())
 
 

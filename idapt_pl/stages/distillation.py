@@ -250,7 +250,9 @@ class Distillation:
     def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
         """The teacher as it is before any grounding; it trains now, if it has not yet."""
         if self._first is None:
-            return self.up_to_date(0, "source_teacher", build, lambda device: self.worlds.training_source(self.num_envs), None)
+            return self.up_to_date(
+                0, "source_teacher", build, lambda device: self.worlds.training_source(self.num_envs), None
+            )
         return self._first
 
 

@@ -13,12 +13,15 @@ import torch
 from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
+from datamodules.replay import TRANSITION
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules.recurrent_policy import REMEMBERED
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.recurrent_experience import RecurrentExperience
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.on_estimates import fit_on_estimates
@@ -119,18 +122,22 @@ def fit_policy(
             states = FrameStacks(read_all(familiar), 1, labels="state").labels
             module.set_familiar_states(torch.from_numpy(states).to(device))
         env = make_env(device)
-        buffer = ReplayBuffer(min(b.buffer_size, b.warmup_steps + steps), seed)
-        warm_up = Experience(env, module, seed, random=fresh)
+        capacity, recurrent = min(b.buffer_size, b.warmup_steps + steps), module.hparams.recurrent
+        buffer = ReplayBuffer(capacity - capacity % b.num_envs if recurrent else capacity, seed)
+        acting = RecurrentExperience if recurrent else Experience
+        warm_up = acting(env, module, seed, random=fresh)
         for _ in range(int(np.ceil(b.warmup_steps / b.num_envs))):
             buffer.add(warm_up())
         return ReplayDataModule(
-            Experience(env, module, seed + 1),
+            acting(env, module, seed + 1),
             buffer,
             b.policy_batch,
             updates_per_batch=b.updates_per_step * b.num_envs,
             batches=steps // b.num_envs,
             image_batches=round(module.hparams.estimator_updates * b.num_envs) if module.supervised else 0,
             image_batch_size=module.hparams.estimator_batch,
+            names=(*TRANSITION, *REMEMBERED) if recurrent else TRANSITION,
+            stretch=(module.hparams.sequence, b.num_envs) if recurrent else None,
         )
 
     return c.stages.fit(step, name, lambda: c.new_policy(initial), feed, steps // b.num_envs, finish)

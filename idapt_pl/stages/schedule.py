@@ -74,6 +74,10 @@ def length_of(steps: int | None) -> int:
     return steps
 
 
+Exploration = Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"]
+"""Policies that collect the task-agnostic data."""
+
+
 @dataclass(frozen=True)
 class StageLengths:
     """How long the stages of one grounding step train.
@@ -132,15 +136,16 @@ class Schedule:
             grounded source does not do already, by images and actions alone; its policy stays. False always takes all
             steps (the paper).
         lengths: whose numbers ``grounding_steps``, ``source_policy`` and both ``policy`` have where they are null, and
-            whose ``exploration``: those of the ``paper`` or of the ``official`` code for the task and target. ``given``:
-            none is null.
+            whose ``exploration``: those of the ``paper`` or of the ``official`` code for the task and target.
+            ``given``: none is null.
     """
 
     grounding_steps: int | None = 5
     images: int = 20_000
     source_images: int | None = None
     exploration: (
-        Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"] | None
+        Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"]
+        | None
     ) = "random"
     exploration_horizon: int | None = None
     interactions: int = 1000
