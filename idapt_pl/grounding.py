@@ -204,7 +204,7 @@ class IterativeGrounding:
 
     def explore(self, seed: int, num_envs: int = 1) -> Policy:
         """The policy that collects D^S and D^T before there is one for the target."""
-        return explorer(self.context, self.schedule.exploration, seed, num_envs)
+        return explorer(self.context, self.schedule.exploration or "random", seed, num_envs)
 
     def recent(self, data: tuple[Path, ...]) -> tuple[Path, ...]:
         """The data that a grounding step trains P^S and G on."""

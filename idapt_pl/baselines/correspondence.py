@@ -59,7 +59,8 @@ class Correspondence(ABC):
     def run(self) -> list[dict]:
         """Learn the correspondence, act in the target, learn from that, and so on. Returns what was measured."""
         g, c = self.grounding, self.grounding.context
-        D_T, D_S = (g.explore_target(),), (g.explore_source(),)
+        D_T: tuple[Path, ...] = (g.explore_target(),)
+        D_S: tuple[Path, ...] = (g.explore_source(),)
         P_S = fit_P_S(c, 0, D_S, g.schedule.pretrain.state_predictor)
         pi = self.source_policy(P_S, D_S)
         G = fit_G(c, 0, D_S, D_T, g.schedule.pretrain.visual, P_S)

@@ -35,10 +35,12 @@ class GroundedEnv(ImageEnvWrapper):
     ) -> None:
         super().__init__(env)
         self.G, self.F, self.frames = G, F, frames
-        self._pixels = np.zeros(env.observation_space["pixels"].shape or (), np.uint8)  # ô^T, (n, K, H, W, 3)
+        self._pixels = np.zeros(0, np.uint8)  # ô^T, (n, K, H, W, 3), once there is one
 
     def reset(self, **kwargs: Any) -> ResetResult:
         obs, infos = self.env.reset(**kwargs)
+        if self._pixels.size == 0:
+            self._pixels = np.zeros_like(obs["pixels"])
         self._pixels = self._translate(obs["pixels"], fresh=np.ones(self.num_envs, bool))
         return self._observe(obs, self._pixels.copy()), infos
 

@@ -11,6 +11,7 @@ from gymnasium.vector import VectorEnv
 from torch import Tensor
 
 from idapt_pl.modules import ActionTransformation
+from idapt_pl.rl.exploration import look_into
 from idapt_pl.rl.policy import Policy, tick
 
 
