@@ -105,7 +105,11 @@ class ImageCorrespondence(Correspondence):
         return pi
 
     def seen(self, env: ImageEnv, G: VisualTransformation) -> ImageEnv:
-        return GroundedEnv(env, G=G.translate_back, frames=G.frames)
+        def back(pixels: np.ndarray) -> np.ndarray:
+            with torch.no_grad():
+                return G.translate_stacks(torch.from_numpy(pixels).to(G.device), back=True).cpu().numpy()
+
+        return GroundedEnv(env, G=back, frames=G.frames)
 
     def act_in_source(self, k: int, pi: SAC) -> Path:
         return record_source(self.grounding.context, k, on_policy(pi), self.grounding.schedule.interactions)

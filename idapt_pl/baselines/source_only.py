@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datamodules import Trajectories
-from idapt_pl.effects.distribution import effects_of
+from idapt_pl.effects.distribution import listed_effects
 from idapt_pl.files import write_yaml
 from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
@@ -32,7 +32,7 @@ class SourceOnly:
         """Train and measure. There are no grounding steps to tell of."""
         c, schedule = self.grounding.context, self.grounding.schedule
         if variants := c.worlds.variants:
-            write_yaml(c.stages.run_dir / "variants.yaml", [effects_of(v) for v in variants])
+            write_yaml(c.stages.run_dir / "variants.yaml", [listed_effects(v) for v in variants])
         D_S = (self.explore(),)
         P_S = fit_P_S(c, 0, D_S, schedule.pretrain.state_predictor)
         pi = fit_source_policy(c, policy_steps(schedule), schedule.pretrain, P_S, D_S)

@@ -28,7 +28,7 @@ ENTRY = {"effect", "target", "parameters"}
 
 
 @dataclass(frozen=True)
-class Draw(ABC):
+class ParameterDraw(ABC):
     """What a parameter is drawn from."""
 
     @property
@@ -42,7 +42,7 @@ class Draw(ABC):
 
 
 @dataclass(frozen=True)
-class Uniform(Draw):
+class Uniform(ParameterDraw):
     """Uniform from ``low`` to ``high``, numbers or vectors; a vector's components are drawn independently."""
 
     low: Any
@@ -82,7 +82,7 @@ class LogUniform(Uniform):
 
 
 @dataclass(frozen=True)
-class Choice(Draw):
+class Choice(ParameterDraw):
     """One of several values, each as often."""
 
     options: tuple[Any, ...]
@@ -104,7 +104,7 @@ def plain(value: np.ndarray) -> float | tuple[float, ...]:
     return float(value) if value.ndim == 0 else tuple(map(float, value))
 
 
-def draw_from(spec: Any) -> Draw:
+def draw_from(spec: Any) -> ParameterDraw:
     """What ``{uniform: [low, high]}``, ``{log_uniform: [low, high]}``, ``{choice: [...]}`` or a plain value says.
 
     Raises:
@@ -139,7 +139,7 @@ class DrawnEffect:
 
     effect: str
     targets: tuple[str, ...]
-    parameters: Mapping[str, Draw]
+    parameters: Mapping[str, ParameterDraw]
 
     def lay_over(self, domain: Domain, values: Sequence[Mapping[str, Any]]) -> Domain:
         """The domain with the effect on every target: in place of the one it has there, or after the others.
@@ -285,6 +285,6 @@ def within_intervals(found: Sequence[Mapping[str, Any]]) -> DomainDistribution:
     return DomainDistribution(tuple(parts))
 
 
-def effects_of(domain: Domain) -> list[dict[str, Any]]:
+def listed_effects(domain: Domain) -> list[dict[str, Any]]:
     """A domain's effects in their YAML form."""
     return [effect.to_dict() for effect in domain.effects]

@@ -212,11 +212,6 @@ class VisualTransformation(ManualModule):
             fake = self.translator(stack_channels(torch.from_numpy(pixels).to(self.device)))
         return to_pixels(fake.unflatten(1, (k, 3))).cpu().numpy().reshape(n, k, h, w, 3)
 
-    def translate_back(self, pixels: np.ndarray) -> np.ndarray:
-        """As :meth:`translate`, from the target's look to the source's."""
-        with torch.no_grad():
-            return self.translate_stacks(torch.from_numpy(pixels).to(self.device), back=True).cpu().numpy()
-
     def translate_episode(self, episode: Episode) -> Episode:
         """A source episode with images as G shows them; actions and other observations stay as they are."""
         stacks = FrameStacks([episode], self.frames).stacks(np.arange(len(episode) + 1))

@@ -40,6 +40,11 @@ class RecurrentExperience(Experience):
             memory.forget(torch.from_numpy(self.ended).to(memory.hidden.device))
         return transitions | before | {"ended": self.ended}
 
+    def itself(self) -> RecurrentExperience:
+        """The same, acting as the policy from now on; episodes go on, so that stretches may lie across."""
+        self._draw = None
+        return self
+
     @torch.no_grad()
     def _act(self, seen: dict[str, np.ndarray]) -> np.ndarray:
         policy, state = self.policy, torch.from_numpy(self._state).to(self.policy.device)

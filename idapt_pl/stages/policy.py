@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
@@ -122,14 +122,15 @@ def fit_policy(
             states = FrameStacks(read_all(familiar), 1, labels="state").labels
             module.set_familiar_states(torch.from_numpy(states).to(device))
         env = make_env(device)
-        capacity, recurrent = min(b.buffer_size, b.warmup_steps + steps), module.hparams.recurrent
+        recurrent, length = module.hparams.recurrent, module.hparams.sequence
+        first = max(math.ceil(b.warmup_steps / b.num_envs), length if recurrent else 0)  # a stretch to begin with
+        capacity = max(min(b.buffer_size, b.warmup_steps + steps), first * b.num_envs if recurrent else 0)
         buffer = ReplayBuffer(capacity - capacity % b.num_envs if recurrent else capacity, seed)
-        acting = RecurrentExperience if recurrent else Experience
-        warm_up = acting(env, module, seed, random=fresh)
-        for _ in range(int(np.ceil(b.warmup_steps / b.num_envs))):
+        warm_up = (RecurrentExperience if recurrent else Experience)(env, module, seed, random=fresh)
+        for _ in range(first):
             buffer.add(warm_up())
         return ReplayDataModule(
-            acting(env, module, seed + 1),
+            warm_up.itself() if isinstance(warm_up, RecurrentExperience) else Experience(env, module, seed + 1),
             buffer,
             b.policy_batch,
             updates_per_batch=b.updates_per_step * b.num_envs,
@@ -137,7 +138,7 @@ def fit_policy(
             image_batches=round(module.hparams.estimator_updates * b.num_envs) if module.supervised else 0,
             image_batch_size=module.hparams.estimator_batch,
             names=(*TRANSITION, *REMEMBERED) if recurrent else TRANSITION,
-            stretch=(module.hparams.sequence, b.num_envs) if recurrent else None,
+            stretch=(length, b.num_envs) if recurrent else None,
         )
 
     return c.stages.fit(step, name, lambda: c.new_policy(initial), feed, steps // b.num_envs, finish)

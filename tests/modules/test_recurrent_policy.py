@@ -43,7 +43,9 @@ def test_stretches_are_of_one_simulation_in_order_also_round_the_end_of_the_buff
             continue
         found = buffer.sample_stretches(200, length=3, simulations=simulations)
         assert (found["i"] == found["i"][:, :1]).all() and (found["t"].diff(dim=1) == 1).all()
-        assert found["t"].min() == max(0, t - 3) and found["t"].max() == t and set(found["i"][:, 0].tolist()) == {0, 1, 2}
+        assert (
+            found["t"].min() == max(0, t - 3) and found["t"].max() == t and set(found["i"][:, 0].tolist()) == {0, 1, 2}
+        )
 
 
 @pytest.mark.parametrize("capacity", [12, 13])
@@ -106,8 +108,8 @@ def test_critics_learn_and_everything_that_should_move_moves(env, trainer, encod
     pi = policy(encoder, lr=3e-3, estimator_updates=0)
     buffer, act = filled(env, pi, random=True)
     before = {k: v.clone() for k, v in pi.state_dict().items()}
-    data = ReplayDataModule(act, buffer, 8, 2, 60, names=(*TRANSITION, *REMEMBERED), stretch=(5, 2))
-    t = trainer(60)
+    data = ReplayDataModule(act, buffer, 8, 2, 40, names=(*TRANSITION, *REMEMBERED), stretch=(5, 2))
+    t = trainer(40)
     t.fit(pi, datamodule=data)
     losses = [row["policy/critic_loss"] for row in t.history]
     assert np.isfinite(losses).all() and np.mean(losses[-10:]) < 0.5 * np.mean(losses[:10])
