@@ -157,3 +157,21 @@ def test_what_makes_no_sense_is_told_before_anything_is_written(overrides, says,
 
 def test_the_names_of_methods_are_those_that_there_are():
     assert tuple(METHODS) == METHOD_NAMES
+
+
+def test_a_policy_of_the_source_alone_is_exported_and_measured_like_any_other(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert fit(run, "dr_narrow") == 0
+    assert main(["evaluate", "--run", str(run), "--episodes", "2"]) == 0
+    told = read_json(run / "evaluation_2_12345.json")
+    assert list(told["policies"]) == ["direct transfer"]
+    assert main(["export", "--run", str(run), "--out", str(tmp_path / "policy.onnx")]) == 0
+    assert "source.h5" in capsys.readouterr().out
+
+
+def test_what_cannot_be_exported_or_measured_again_says_so(tmp_path, capsys):
+    assert fit(tmp_path / "recurrent", "adaptive_rl") == 0 and fit(tmp_path / "cc", "cc_state") == 0
+    assert main(["export", "--run", str(tmp_path / "recurrent"), "--out", str(tmp_path / "policy.onnx")]) == 1
+    assert "policy.recurrent cannot be exported" in capsys.readouterr().err
+    assert main(["evaluate", "--run", str(tmp_path / "cc")]) == 1
+    assert "what it reached is in its summary.json" in " ".join(capsys.readouterr().err.split())
