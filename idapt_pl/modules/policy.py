@@ -53,6 +53,9 @@ class AsymmetricSAC(SAC):
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         memory: with ``supervised``, size of the memory of a filter over time (:class:`.StateFilter`), which stands
             between the encoder and the actor's head; 0 for none (the paper).
+        recurrent: size of LSTMs in actor and critics, trained by SAC itself (:class:`.RecurrentSAC`, Adaptive RL); 0
+            for none. For ``method: source``.
+        sequence: with ``recurrent``, transitions in a stretch that updates are on (the paper: 7).
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
             state from the source's task-agnostic data. G has learned from such states; far from them, or where their
             components go together differently, its images cannot be relied on.
@@ -87,6 +90,8 @@ class AsymmetricSAC(SAC):
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
         memory: int = 0,
+        recurrent: int = 0,
+        sequence: int = 7,
         bf16: bool = True,
     ) -> None:
         super().__init__()
@@ -98,10 +103,14 @@ class AsymmetricSAC(SAC):
         f: PixelEncoder | PixelStatePredictor = vision.encoder(image_size, frame_stack)
         if encoder == "supervised":
             f = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
-        self.add_networks(Actor(f, action_low, action_high, hidden), state_dim)
+        self.add_networks(self.make_actor(f, action_low, action_high, hidden), state_dim)
         self.filter = StateFilter(state_dim, len(action_low), memory) if memory else None
         self.register_buffer("familiar_mean", torch.zeros(state_dim))
         self.register_buffer("familiar_precision", torch.eye(state_dim))
+
+    def make_actor(self, f: nn.Module, low: list[float], high: list[float], hidden: Sequence[int]) -> Actor:
+        """The actor with encoder f."""
+        return Actor(f, low, high, hidden)
 
     def set_familiar_states(self, states: Tensor) -> None:
         """Take what is familiar from the states (n, state_dim) of the source's task-agnostic data."""

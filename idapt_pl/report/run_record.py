@@ -143,6 +143,21 @@ class RunRecord:
         return self.config["schedule"]["grounding_steps"]
 
     @property
+    def method(self) -> str:
+        """What was run."""
+        return self.config.get("method", "idapt")
+
+    @property
+    def stepless(self) -> bool:
+        """Whether it is of a policy alone, without grounding steps."""
+        return self.method in ("source", "oracle")
+
+    @property
+    def reference(self) -> dict:
+        """What its policy reached, of a run without grounding steps."""
+        return {"source": self.direct_transfer, "oracle": self.oracle}.get(self.method, {})
+
+    @property
     def evaluated(self) -> list[StepRecord]:
         """Steps that went to their end."""
         return [s for s in self.steps if s.evaluation]
@@ -150,6 +165,8 @@ class RunRecord:
     @property
     def finished(self) -> bool:
         """Whether every step went to its end, or one showed that there was nothing left to learn."""
+        if self.stepless:
+            return (self.run / "summary.json").exists()
         return len(self.evaluated) == self.planned + 1 or any(s.settled for s in self.steps)
 
 

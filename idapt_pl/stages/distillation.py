@@ -236,7 +236,7 @@ class Distillation:
             return expert
 
         def make(device: torch.device) -> VectorEnv:
-            return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+            return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
         count = self.settings.candidates if F is None and not fresh else 1
         names = [name, *(f"{name}_{i}" for i in range(2, count + 1))]
@@ -273,7 +273,7 @@ class Distillation:
             return 0
 
         def make(seed: int) -> dict:
-            with closing(self.worlds.source_states(TRIALS)) as env:
+            with closing(self.worlds.training_states(TRIALS)) as env:
                 returns = [round(noisy_return(teacher, env, TRIALS, seed), 2) for teacher in trained]
             log.info("step %d  teachers earn %s in the source; the best goes on", step, returns)
             return {"returns": returns, "chosen": int(np.argmax(returns))}
@@ -283,7 +283,9 @@ class Distillation:
     def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
         """The teacher as it is before any grounding; it trains now, if it has not yet."""
         if self._first is None:
-            return self.up_to_date(0, "source_teacher", build, lambda device: self.worlds.source(self.num_envs), None)
+            return self.up_to_date(
+                0, "source_teacher", build, lambda device: self.worlds.training_source(self.num_envs), None
+            )
         return self._first
 
 

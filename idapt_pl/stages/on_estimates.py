@@ -108,7 +108,7 @@ def rehearse(
     """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states."""
 
     def make(seed: int) -> Trajectories:
-        source = c.worlds.source(SIMULATIONS)
+        source = c.worlds.training_source(SIMULATIONS)
         with closing(c.worlds.grounded_over(source, G, F)) as env:
             act = Rehearsal(source, teacher, seed, deterministic(policy) if policy is not None else None)
             return collect(env, act, c.teacher.settings.rehearse // 2, seed, f"rehearsal in the source, step {step}")
