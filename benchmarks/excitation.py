@@ -36,6 +36,7 @@ from cli.provenance import git_commit
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.result import DiagnosisResult, Explanation, Measurement
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.excitation.design import MotionSearch
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.motion import FourierMotion
@@ -47,7 +48,17 @@ FIELDS = (
     "inseparable", "cpu_seconds", "commit",
 )  # fmt: skip
 METHODS = ("excite", "random", "chirp")
-MOST, DURATION, SECONDS = 3, 4.0, 12.0
+MOST, DURATION, SECONDS = 3, 4.0, 8.0
+CANDIDATES = (
+    "joint_damping", "joint_frictionloss", "joint_stribeck", "joint_armature", "joint_stiffness", "actuator_gain",
+    "actuator_bias", "actuator_deadzone", "actuator_delay", "actuator_lag", "body_mass", "body_com", "payload",
+    "sensor_gain", "sensor_bias", "gravity_direction", "fluid_drag",
+)  # fmt: skip
+"""What is considered: no shape of bodies and nothing that touches, to save time."""
+OF_SERVOS = ("actuator_kp", "actuator_kv")
+"""And for servos."""
+SETTINGS = SearchSettings(max_effects=2, numerics=False)
+"""The true time step is the model's: it is not searched."""
 NEVER = MOST + 1
 """Recordings that are written down where three were not enough."""
 
@@ -92,8 +103,10 @@ def trajectories(case: Confounded, recordings: list[Recording]) -> Trajectories:
 def diagnosed(case: Confounded, first: list[Recording], new: list[Recording], seed: int) -> Named:
     """Diagnose; of the first recordings the second is held out, of each new pair the second."""
     hold_out = [1, *range(len(first) + 1, len(first) + len(new), 2)]
-    spec = mujoco.MjSpec.from_string(nominal_xml(case.model))
-    return Named.of(diagnose(spec, trajectories(case, [*first, *new]), hold_out=hold_out, seed=seed, threads=1).result)
+    spec, data = mujoco.MjSpec.from_string(nominal_xml(case.model)), trajectories(case, [*first, *new])
+    names = (*CANDIDATES, *OF_SERVOS) if case.model == "servo_arm" else CANDIDATES
+    found = diagnose(spec, data, hold_out=hold_out, candidates=names, seed=seed, settings=SETTINGS, threads=1)
+    return Named.of(found.result)
 
 
 def left_open(case: Confounded, named: Named) -> LeftOpen:

@@ -60,7 +60,8 @@ class SeparationCriterion:
     """
 
     def __init__(self, forecaster: Forecaster, rivals: Sequence[Rival], measurement: Measurement) -> None:
-        self.forecast, self.rivals, self.steps = forecaster, tuple(rivals), measurement.window_steps
+        self.forecast, self.rivals = forecaster, tuple(rivals)
+        self.steps = max(2, round(measurement.window_steps * measurement.control_period / forecaster.dt))
         self.noise = Noise(np.array(measurement.sensor_noise), np.array(measurement.initial_state_noise))
         self.pairs = list(combinations(range(len(rivals)), 2))
         self.W: np.ndarray | None = None
@@ -124,28 +125,26 @@ class SeparationCriterion:
 
     def after_refit(self, commands: np.ndarray) -> np.ndarray:
         """Separations of all pairs by a motion (T, nu), one rival fitted again to what the other predicts, (pairs,)."""
-        R = len(self.rivals)
-        left = np.full((R, R), np.inf)
-        for a in range(R):
-            for b in range(R):
-                if a != b:
-                    left[a, b] = self.refitted_distance(self.rivals[a], self.rivals[b], commands[None])
-        return np.array([min(left[a, b], left[b, a]) for a, b in self.pairs])
+        left = [self.left_by_others(a, commands[None]) for a in range(len(self.rivals))]
+        return np.array([min(left[a][b], left[b][a]) for a, b in self.pairs])
 
-    def refitted_distance(self, truth: Rival, fitted: Rival, commands: np.ndarray) -> float:
-        """What is left when one rival is fitted to what another predicts of a motion (1, T, nu), exactly whitened."""
-        seen = self.forecast(truth.effects, commands)
+    def left_by_others(self, truth: int, commands: np.ndarray) -> list[float]:
+        """What each rival leaves when it is fitted to what one predicts of a motion (1, T, nu), exactly whitened."""
+        right = self.rivals[truth]
+        seen = self.forecast(right.effects, commands)
         sim, windows = self.forecast.sim.replaying(seen.recordings(commands)), self.windows(seen, commands)
-        at = initial_sensitivity(sim, truth.effects, windows, self.noise.start)
+        at = initial_sensitivity(sim, right.effects, windows, self.noise.start)
         split = WhitenedWindows(windows, whitener(at, self.noise, sim.compared))
+        zero = split.residual(sim, right.effects)  # with memory before the window it does not predict itself exactly
 
         def residual(effects: Effects) -> np.ndarray:
-            return split.residual(sim, effects)
+            return np.clip(split.residual(sim, effects) - zero, -1e3, 1e3)
 
-        zero = residual(truth.effects)  # a rival with memory before the window does not predict itself exactly
-        fit = fit_candidates(lambda e: residual(e) - zero, fitted.fixed, fitted.candidates, fitted.x, 4)
-        left = residual((*fitted.fixed, *effects_of(fitted.candidates, fit.x))) - zero
-        return float(np.linalg.norm(np.clip(left, -1e3, 1e3)))
+        def after_fit(rival: Rival) -> float:
+            x = fit_candidates(residual, rival.fixed, rival.candidates, rival.x, 4).x
+            return float(np.linalg.norm(residual((*rival.fixed, *effects_of(rival.candidates, x)))))
+
+        return [0.0 if b == truth else after_fit(rival) for b, rival in enumerate(self.rivals)]
 
 
 def derivatives(rival: Rival, base: np.ndarray, whitened: Callable[[Effects], np.ndarray]) -> np.ndarray:

@@ -111,7 +111,9 @@ class MotionSearch:
         self.reachable = np.zeros(len(criterion.pairs))
         self.tried = self.safe = 0
         effects = [coarse(r) for r in criterion.rivals]
+        nominal = criterion.forecast.model
         models = [criterion.forecast.sim.compile(e) for e in effects]
+        models = [m if m.nq == nominal.nq else nominal for m in models]  # play in a joint is a coordinate of its own
         starts = [criterion.forecast.start(e) for e in effects]
         self.checks = [PoseCheck(m, limits, s) for m, s in zip(models, starts, strict=True)]
 

@@ -86,16 +86,20 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
         raise ImpossibleMotion(f"{report}: no such folder; expected the output of idapt diagnose --out")
     spec, entry = read_model(model), read_report(report / "report.json")
     spec = nominal_of(spec, model, report)
-    declared = tuple(effect_from_dict(e) for e in entry["declared"])
-    explanations = [Explanation.from_dict(e) for e in entry["explanations"]]
-    if not explanations:
+    try:
+        declared = tuple(effect_from_dict(e) for e in entry["declared"])
+        rivals = tuple(rival_of(declared, Explanation.from_dict(e)) for e in entry["explanations"])
+        measurement, intervals = Measurement.from_dict(entry["measurement"]), intervals_of(entry["effects"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise ImpossibleMotion(
+            f"{report / 'report.json'}: it does not say which explanations are left; {REPEAT}"
+        ) from None
+    if not rivals:
         raise ImpossibleMotion(
             f"{report}: the diagnosis found no effect ({entry['verdict']}), so there are no explanations to tell apart"
         )
-    rivals = tuple(rival_of(declared, e) for e in explanations)
     for rival in rivals:
         check_fit(spec, rival, model, report)
-    measurement = Measurement.from_dict(entry["measurement"])
     compiled = spec.copy().compile()
     wanted = compiled.nv * (1 + measurement.velocities)
     if len(measurement.sensor_noise) != wanted:
@@ -103,7 +107,7 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
             f"{model}: it has {compiled.nv} degrees of freedom, but {report / 'report.json'} is about a model with "
             f"{len(measurement.initial_state_noise) // 2}; give the model that was diagnosed"
         )
-    return LeftOpen(spec, rivals, measurement, intervals_of(entry["effects"]))
+    return LeftOpen(spec, rivals, measurement, intervals)
 
 
 def read_report(path: Path) -> dict[str, Any]:

@@ -95,7 +95,7 @@ class PoseCheck:
 
     def touching(self, data: mujoco.MjData) -> set[Pair]:
         """Pairs of geoms that touch."""
-        return {(int(a), int(b)) for a, b in data.contact.geom[data.contact.dist < 0]} if data.ncon else set()
+        return {(int(min(pair)), int(max(pair))) for pair in data.contact.geom[data.contact.dist < 0]}
 
     def forbidden(self, qpos: np.ndarray, qvel: np.ndarray, commands: np.ndarray) -> list[SafetyMargin]:
         """The tightest places of one motion, (T+1, nq), (T+1, nv) and (T, nu)."""

@@ -10,7 +10,7 @@ from idapt_pl.effects.actuators import ActuatorGain, ActuatorKp, dc_motors, serv
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import mechanical_joints, moved_bodies, named_actuators
-from idapt_pl.effects.joints import JointDamping, JointFrictionloss
+from idapt_pl.effects.joints import PLAY_SUFFIX, JointDamping, JointFrictionloss
 
 FRICTION, MASS, STRENGTH = 0.3, 0.1, 0.1
 """Shares by which friction and damping, masses, and what actuators do may be off."""
@@ -30,9 +30,11 @@ def varied(model: mujoco.MjModel, effects: Effects, rng: np.random.Generator) ->
         return float(value * rng.uniform(1 - share, 1 + share))
 
     for _, v, name in mechanical_joints(model):
-        if name and model.dof_damping[v]:
+        if not name or name.endswith(PLAY_SUFFIX):
+            continue
+        if model.dof_damping[v]:
             changed.append(JointDamping(name, about(model.dof_damping[v], FRICTION)))
-        if name and model.dof_frictionloss[v]:
+        if model.dof_frictionloss[v]:
             changed.append(JointFrictionloss(name, about(model.dof_frictionloss[v], FRICTION)))
     changed += [BodyMass(name, about(model.body_mass[b], MASS)) for b, name in moved_bodies(model)]
     position, motors = servos(model), dc_motors(model)
