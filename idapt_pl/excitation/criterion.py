@@ -97,7 +97,7 @@ class SeparationCriterion:
         parts = [np.square(d[0]).sum(1) for d in self.differences(z, slopes)]
         seen = self.forecast(coarse(self.rivals[0]), commands)
         ends = self.windows(seen, commands).start + self.steps
-        return ends * self.forecast.dt, np.sqrt(np.cumsum(np.reshape(parts, (len(parts), -1)), 1))
+        return ends * self.forecast.dt, np.sqrt(np.cumsum(np.reshape(parts, (len(parts), len(ends))), 1))
 
     def residuals(self, commands: np.ndarray) -> tuple[list[Forecast], list[np.ndarray], list[np.ndarray]]:
         """Forecasts of the rivals, and their whitened residuals where the first one is right.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from arms import ARMATURE, DAMPING, FORCE, FRICTION, NOISE, OFFSET, RAIL, explained, forecaster, left_open
 
+from idapt_pl.diagnosis.candidate_fit import fit_candidates
 from idapt_pl.diagnosis.result import Measurement, Standing
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.excitation.criterion import SeparationCriterion
@@ -50,29 +51,37 @@ def test_what_a_refit_explains_does_not_count():
     assert same_kind.after_refit(u[0]).max() < 1.0
 
 
-def test_the_quick_number_is_near_the_one_after_a_refit():
+def test_the_quick_number_is_of_the_order_of_that_after_a_refit():
     friction, u = criterion(DAMPING, FRICTION, ARMATURE), motions(1)
-    quick, exact = friction(u).separations[0], friction.after_refit(u[0])
-    assert exact == pytest.approx(quick, rel=0.35)
+    ratio = friction(u).separations[0] / friction.after_refit(u[0])
+    assert (ratio > 0.4).all() and (ratio < 2.5).all()  # it is linear, and on the trajectory of the first alone
+
+
+def noisy_recording(made, u, rng):
+    """What the first explanation predicts of a motion, with the sensors' noise; and the windows in it."""
+    seen = made.forecast(coarse(made.rivals[0]), u)
+    windows, recording = made.windows(seen, u), seen.recordings(u)[0]
+    recording.qpos[:] += 1e-3 * rng.standard_normal(recording.qpos.shape)
+    recording.qvel[:] += 1e-2 * rng.standard_normal(recording.qvel.shape)
+    return made.forecast.sim.replaying([recording]), windows
 
 
 def test_a_likelihood_ratio_shows_the_predicted_separation():
-    """With noise from one explanation, the loss of the other one is larger by D², on average."""
-    made, u = criterion(DAMPING, FRICTION), motions(1)
+    """With noisy recordings of one explanation, the other one, fitted again, leaves D² more on average."""
+    made, u, rng = criterion(DAMPING, FRICTION), motions(1, size=0.3), np.random.default_rng(0)
     truth, other = made.rivals
-    seen = made.forecast(coarse(truth), u)
-    D, rng, gains = made.after_refit(u[0])[0], np.random.default_rng(0), []
-    windows = made.windows(seen, u)
-    for _ in range(12):
-        noisy = seen.recordings(u)[0]
-        noisy.qpos[:] += 1e-3 * rng.standard_normal(noisy.qpos.shape)
-        noisy.qvel[:] += 1e-2 * rng.standard_normal(noisy.qvel.shape)
-        sim = made.forecast.sim.replaying([noisy])
-        z = [sim.residual(coarse(r), windows).reshape(len(windows), -1) @ made.W.T for r in (truth, other)]
-        gains.append(np.square(z[1]).sum() - np.square(z[0]).sum())
-        seen = made.forecast(coarse(truth), u)
-    assert np.mean(np.square(z[0])) == pytest.approx(1.0, abs=0.15)  # white, of variance 1, under the truth
-    assert np.sqrt(np.mean(gains)) > D and np.mean(gains) < 16 * D**2  # without a refit a little more
+    D, left, gains = np.sqrt(np.square(made.left_by_others(0, u)).sum()), [], []
+    for _ in range(10):
+        sim, windows = noisy_recording(made, u, rng)
+
+        def whitened(effects, sim=sim, windows=windows):
+            return sim.residual(effects, windows).reshape(len(windows), -1) @ made.W.T
+
+        left.append(np.square(whitened(coarse(truth))))
+        fit = fit_candidates(whitened, other.fixed, other.candidates, other.x, 4)
+        gains.append(np.square(fit.solution.z).sum() - left[-1].sum())
+    assert np.mean(left) == pytest.approx(1.0, abs=0.1)  # white, of variance 1, under the truth
+    assert np.mean(gains) == pytest.approx(D**2, rel=0.3)
 
 
 def test_separation_grows_over_a_motion_up_to_its_whole():
@@ -87,13 +96,9 @@ def test_information_is_that_of_the_damping():
     made, u = criterion(DAMPING), motions(1)
     F = made(u).information[0, 0, 0]
     c, x = made.rivals[0].candidates[0], made.rivals[0].x[0]
-    seen, rng, estimates = made.forecast(coarse(made.rivals[0]), u), np.random.default_rng(0), []
-    windows = made.windows(seen, u)
+    rng, estimates = np.random.default_rng(0), []
     for _ in range(30):
-        noisy = made.forecast(coarse(made.rivals[0]), u).recordings(u)[0]
-        noisy.qpos[:] += 1e-3 * rng.standard_normal(noisy.qpos.shape)
-        noisy.qvel[:] += 1e-2 * rng.standard_normal(noisy.qvel.shape)
-        sim = made.forecast.sim.replaying([noisy])
+        sim, windows = noisy_recording(made, u, rng)
         z0, z1 = (
             (sim.residual((c.effect(v),), windows).reshape(len(windows), -1) @ made.W.T).ravel() for v in (x, x + 0.01)
         )
