@@ -75,7 +75,8 @@ def limits_of(
     """Limits of a model, narrowed by those given.
 
     Args:
-        model: joint ranges and ``ctrlrange`` are taken from it. A servo without a ``ctrlrange`` has its joint's range.
+        model: joint ranges, ``ctrlrange`` and ``forcerange`` are taken from it. A servo without a ``ctrlrange`` has its
+            joint's range.
         position: by the joint's name, ``"*"`` for all; of hinges and slides.
         velocity: greatest speeds likewise; the higher value of each span counts.
         command: by the actuator's name, ``"*"`` for all.
@@ -95,7 +96,7 @@ def limits_of(
     positions = narrowed(joint_ranges(model, margin), joints, position, "position")
     speeds = narrowed(np.tile([-np.inf, np.inf], (model.nv, 1)), joints, symmetric(velocity), "velocity")
     commands = narrowed(command_ranges(model, margin), actuators, command, "command")
-    forces = narrowed(np.tile([-np.inf, np.inf], (model.nu, 1)), actuators, symmetric(force), "torque")
+    forces = narrowed(force_ranges(model), actuators, symmetric(force), "torque")
     for name, i in actuators.items():
         if not np.isfinite(commands[i]).all():
             raise ImpossibleMotion(
@@ -130,6 +131,12 @@ def command_ranges(model: mujoco.MjModel, margin: float) -> np.ndarray:
         if (v := servo_dof(model, i)) is not None:
             out[i] = max(out[i, 0], joints[v, 0]), min(out[i, 1], joints[v, 1])
     return out
+
+
+def force_ranges(model: mujoco.MjModel) -> np.ndarray:
+    """What the actuators' forces are cut off at in the model, (nu, 2)."""
+    limited = model.actuator_forcelimited.astype(bool)[:, None]
+    return np.where(limited, model.actuator_forcerange, [-np.inf, np.inf])
 
 
 def servo_dof(model: mujoco.MjModel, actuator: int) -> int | None:

@@ -83,7 +83,10 @@ class PoseCheck:
         self.model, self.limits, self.data = model, limits, mujoco.MjData(model)
         self.moving = np.flatnonzero(moving_geoms(model))
         self.allowed: set[Pair] = set()
-        self.needed = bool(limits.no_contact or limits.lowest is not None or np.isfinite(limits.force).any())
+        solid = bool(model.npair or (model.geom_contype | model.geom_conaffinity).any())
+        self.needed = bool(
+            (limits.no_contact and solid) or limits.lowest is not None or np.isfinite(limits.force).any()
+        )
         self.allowed = self.touching(self._pose(start, np.zeros(model.nv), np.zeros(model.nu)))
 
     def _pose(self, qpos: np.ndarray, qvel: np.ndarray, command: np.ndarray) -> mujoco.MjData:
