@@ -10,7 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.advice import next_experiment
 from idapt_pl.diagnosis.black_box import predictable_share
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.explanations import describe_measurement, remaining_explanations
+from idapt_pl.diagnosis.remaining import describe_measurement, remaining_explanations
 from idapt_pl.diagnosis.result import (
     Alternative,
     ChannelError,

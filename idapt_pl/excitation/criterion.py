@@ -20,12 +20,12 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of, fit_candidates
 from idapt_pl.diagnosis.data import Windows, sample_windows
+from idapt_pl.diagnosis.explanation import Measurement
 from idapt_pl.diagnosis.noise import Noise
-from idapt_pl.diagnosis.result import Measurement
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
 from idapt_pl.estimation.least_squares import project_out
-from idapt_pl.excitation.forecast import Forecast, Forecaster, coarse
+from idapt_pl.excitation.forecast import Forecast, MotionForecaster, coarse
 from idapt_pl.excitation.rivals import Rival
 
 SAMPLES = 5
@@ -59,7 +59,7 @@ class SeparationCriterion:
         measurement: how the recordings will be measured.
     """
 
-    def __init__(self, forecaster: Forecaster, rivals: Sequence[Rival], measurement: Measurement) -> None:
+    def __init__(self, forecaster: MotionForecaster, rivals: Sequence[Rival], measurement: Measurement) -> None:
         self.forecast, self.rivals = forecaster, tuple(rivals)
         self.steps = max(2, round(measurement.window_steps * measurement.control_period / forecaster.dt))
         self.noise = Noise(np.array(measurement.sensor_noise), np.array(measurement.initial_state_noise))

@@ -21,7 +21,7 @@ from idapt_pl.excitation.motion import FourierMotion
 from idapt_pl.excitation.safety import PoseCheck, SafetyMargin, limit_margins, motion_excess, relative_size
 from idapt_pl.excitation.variants import varied
 
-BATCH = 16
+POPULATION = 16
 """Motions that are simulated together."""
 
 SEPARATED = 3.0
@@ -125,9 +125,9 @@ class MotionSearch:
         """
         if cma is None:
             raise ImpossibleMotion("the search needs a package that is missing: pip install 'idapt[excite]'")
-        first = self.motion.random(self.rng, BATCH)
+        first = self.motion.random(self.rng, POPULATION)
         self.criterion.calibrate(self.motion.commands(0.3 * first))
-        scattered, own = max(BATCH, evaluations // 3), self.worth
+        scattered, own = max(POPULATION, evaluations // 3), self.worth
         best = self.at_random(scattered, own, "trying motions", (0.0, 0.3))
         if best.value < 0:
             best = self.made_smaller(best)
@@ -181,9 +181,9 @@ class MotionSearch:
     def at_random(self, n: int, worth: Callable[[Score], np.ndarray], what: str, span: tuple[float, float]) -> Best:
         """The best of so many random motions."""
         best = Best(np.zeros(self.motion.size), -np.inf, np.zeros(len(self.criterion.pairs)))
-        for k in range(0, n, BATCH):
+        for k in range(0, n, POPULATION):
             self.progress(what, span[0] + (span[1] - span[0]) * k / n)
-            best = self.better(best, self.motion.random(self.rng, BATCH), worth)
+            best = self.better(best, self.motion.random(self.rng, POPULATION), worth)
         return best
 
     def better(self, best: Best, x: np.ndarray, worth: Callable[[Score], np.ndarray]) -> Best:
@@ -228,12 +228,12 @@ class MotionSearch:
     ) -> Best:
         """CMA-ES (Hansen & Ostermeier 2001) around the best so far, with so many motions."""
         options = {
-            "seed": self.seed + 1, "popsize": BATCH, "verbose": -9, "CMA_diagonal": self.motion.size > 30,
+            "seed": self.seed + 1, "popsize": POPULATION, "verbose": -9, "CMA_diagonal": self.motion.size > 30,
             "verb_log": 0,
         }  # fmt: skip
         search = cma.CMAEvolutionStrategy(best.x, 0.15, options)
         best = self.better(best, best.x[None], worth)
-        for k in range(0, n, BATCH):
+        for k in range(0, n, POPULATION):
             self.progress(what, span[0] + (span[1] - span[0]) * k / n)
             asked = np.array(search.ask())
             x = self.fitted(asked)
@@ -250,7 +250,7 @@ class MotionSearch:
         for i, pair in enumerate(hard):
             span = (0.75 + 0.15 * i / len(hard), 0.75 + 0.15 * (i + 1) / len(hard))
             found = self.refined(
-                replace(best, value=-np.inf), max(BATCH, n // len(hard)), of_pair(int(pair)), "hard pairs", span
+                replace(best, value=-np.inf), max(POPULATION, n // len(hard)), of_pair(int(pair)), "hard pairs", span
             )
             best = self.better(best, found.x[None], self.worth)
         return best

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from idapt_pl.effects.candidate import scalar_joints
 from idapt_pl.excitation.design import SEPARATED, MotionDesign
-from idapt_pl.excitation.forecast import Forecaster
+from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import MotionLimits
 from idapt_pl.excitation.rivals import Rival
 from idapt_pl.report.plots import NOISE, STYLE, escape_mathtext
@@ -31,7 +31,7 @@ CLIP_RATE, CLIP_SIZE = 12.5, 240
 
 
 def motion_figure(
-    design: MotionDesign, rivals: Sequence[Rival], forecaster: Forecaster, limits: MotionLimits
+    design: MotionDesign, rivals: Sequence[Rival], forecaster: MotionForecaster, limits: MotionLimits
 ) -> Figure:
     """Commands on the left, predicted positions on the right, and how the separations grow at the bottom."""
     model = forecaster.model
@@ -48,7 +48,9 @@ def motion_figure(
     return figure
 
 
-def draw_commands(axes: Sequence[Axes], design: MotionDesign, forecaster: Forecaster, limits: MotionLimits) -> None:
+def draw_commands(
+    axes: Sequence[Axes], design: MotionDesign, forecaster: MotionForecaster, limits: MotionLimits
+) -> None:
     """A row for each actuator."""
     time = forecaster.dt * np.arange(len(design.commands) + 1)
     for i, axis in enumerate(axes):
@@ -63,7 +65,11 @@ def draw_commands(axes: Sequence[Axes], design: MotionDesign, forecaster: Foreca
 
 
 def draw_positions(
-    axes: Sequence[Axes], design: MotionDesign, rivals: Sequence[Rival], forecaster: Forecaster, limits: MotionLimits
+    axes: Sequence[Axes],
+    design: MotionDesign,
+    rivals: Sequence[Rival],
+    forecaster: MotionForecaster,
+    limits: MotionLimits,
 ) -> None:
     """A row for each joint, a line for each explanation."""
     joints = scalar_joints(forecaster.model)[: len(axes)]
@@ -99,7 +105,7 @@ def draw_growth(axis: Axes, design: MotionDesign, rivals: Sequence[Rival]) -> No
         axis.legend(frameon=False, fontsize=8)
 
 
-def motion_clip(design: MotionDesign, forecaster: Forecaster) -> bytes | None:
+def motion_clip(design: MotionDesign, forecaster: MotionForecaster) -> bytes | None:
     """A GIF of the motion under the leading explanation, by the first camera; None without a camera, or without GL."""
     model = forecaster.model
     if not model.ncam:

@@ -41,7 +41,7 @@ class Forecast:
         return [Recording(f"motion_{i}", self.time, q, v, u) for i, (q, v, u) in enumerate(rows)]
 
 
-class Forecaster:
+class MotionForecaster:
     """Simulates commands from a start pose under any explanation.
 
     Args:

@@ -9,18 +9,18 @@ from matplotlib.figure import Figure
 
 from idapt_pl.effects.wording import format_number
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
-from idapt_pl.excitation.forecast import Forecaster
+from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.rivals import Rival
 from idapt_pl.excitation.wording import motion_headline, motion_in_words, standing_in_words
 from idapt_pl.report.html import data_uri, document, figure, header, image, paragraph, row, scrollable, section, table
 from idapt_pl.report.plots import svg
 
-TOLD, UNTOLD = "#1d6fa5", "#b4452c"
+APART, TOGETHER = "#1d6fa5", "#b4452c"
 """Colours of the headline."""
 
 
 def motion_page(
-    design: MotionDesign, rivals: Sequence[Rival], forecaster: Forecaster, goal: Goal, parameters: Sequence[dict],
+    design: MotionDesign, rivals: Sequence[Rival], forecaster: MotionForecaster, goal: Goal, parameters: Sequence[dict],
     drawn: Figure, clip: bytes | None, names: tuple[str, str, str],
 ) -> str:  # fmt: skip
     """The whole page.
@@ -54,7 +54,7 @@ def motion_page(
         safety_section(design),
         next_steps_section(names[2], forecaster),
     ]
-    return document("the next recording", parts, TOLD if told else UNTOLD)
+    return document("the next recording", parts, APART if told else TOGETHER)
 
 
 def explanations_section(rivals: Sequence[Rival]) -> str:
@@ -109,7 +109,7 @@ def safety_section(design: MotionDesign) -> str:
     return section("Safety", table(("limit", "#reached", "#allowed", "#room"), rows), paragraph(note, "small"))
 
 
-def next_steps_section(commands: str, forecaster: Forecaster) -> str:
+def next_steps_section(commands: str, forecaster: MotionForecaster) -> str:
     """How to play it and what to do with the recording."""
     start = ", ".join(format_number(v) for v in forecaster.given)
     steps = (

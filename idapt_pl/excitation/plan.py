@@ -13,15 +13,15 @@ import numpy as np
 from idapt_pl.diagnosis.context import Progress
 from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.design import Goal, MotionDesign, MotionSearch
-from idapt_pl.excitation.forecast import Forecaster
+from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import ImpossibleMotion, MotionLimits, servo_dof
 from idapt_pl.excitation.motion import fourier_motion
 from idapt_pl.excitation.rivals import LeftOpen, Rival
 
-SECONDS_PER_STEP = 1.5e-6
+NOMINAL_COST = 1.5e-6
 """Nominal cost of one time step of one degree of freedom: no result may depend on a clock."""
 
-FEWEST = 96
+FEWEST_MOTIONS = 96
 """Motions that are tried at least, however short the time."""
 
 
@@ -56,7 +56,7 @@ class MotionPlan:
 
 def design_motion(
     left_open: LeftOpen, plan: MotionPlan, progress: Progress = lambda what, done: None, threads: int | None = None
-) -> tuple[MotionDesign, Sequence[Rival], Forecaster]:
+) -> tuple[MotionDesign, Sequence[Rival], MotionForecaster]:
     """Find the motion that tells what was left open apart.
 
     Args:
@@ -104,7 +104,7 @@ def prepare_search(
         )
     fastest = min(0.15 / dt, 3.0) if plan.fastest is None else plan.fastest
     motion = fourier_motion(around, plan.limits.command, dt, fastest, plan.seed)
-    forecaster = Forecaster(left_open.spec, rivals, pose, around[0], dt, measurement.velocities, threads)
+    forecaster = MotionForecaster(left_open.spec, rivals, pose, around[0], dt, measurement.velocities, threads)
     criterion = SeparationCriterion(forecaster, rivals, measurement)
     search = MotionSearch(criterion, motion, plan.limits, plan.goal, plan.seed, progress)
     return search, affordable_motions(forecaster, rivals, len(around), plan.seconds), rivals
@@ -131,13 +131,13 @@ def holding_commands(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:
     return held
 
 
-def affordable_motions(forecaster: Forecaster, rivals: Sequence[Rival], steps: int, seconds: float) -> int:
+def affordable_motions(forecaster: MotionForecaster, rivals: Sequence[Rival], steps: int, seconds: float) -> int:
     """Motions that the time allows, by a nominal speed."""
     model = forecaster.model
-    per_step = SECONDS_PER_STEP * (1 + model.nv / 2)
+    per_step = NOMINAL_COST * (1 + model.nv / 2)
     simulations = 2 * len(rivals) + sum(c.size for r in rivals for c in r.candidates)
     per_motion = per_step * simulations * steps * forecaster.dt / model.opt.timestep
-    return max(FEWEST, int(0.7 * seconds / per_motion))
+    return max(FEWEST_MOTIONS, int(0.7 * seconds / per_motion))
 
 
 def read_base(path: Path, model: mujoco.MjModel, control_period: float) -> np.ndarray:

@@ -14,7 +14,7 @@ import mujoco
 from idapt_pl.effects.wording import phrase_at, unit_at
 from idapt_pl.excitation.design import SEPARATED, MotionDesign
 from idapt_pl.excitation.figures import motion_clip, motion_figure
-from idapt_pl.excitation.forecast import Forecaster
+from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import servo_dof
 from idapt_pl.excitation.page import motion_page
 from idapt_pl.excitation.plan import MotionPlan
@@ -31,7 +31,7 @@ def motion_files(out: Path) -> list[Path]:
 
 
 def write_motion(
-    out: Path, design: MotionDesign, rivals: Sequence[Rival], forecaster: Forecaster, plan: MotionPlan,
+    out: Path, design: MotionDesign, rivals: Sequence[Rival], forecaster: MotionForecaster, plan: MotionPlan,
     left_open: LeftOpen, model_name: str, report_name: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a motion's files.
@@ -49,7 +49,7 @@ def write_motion(
     Returns:
         What is in the JSON file.
     """
-    parameters = parameter_rows(design, rivals[0], left_open.intervals, forecaster.model)
+    parameters = information_rows(design, rivals[0], left_open.intervals, forecaster.model)
     entry = motion_entry(design, rivals, forecaster, plan, parameters)
     drawn, clip = motion_figure(design, rivals, forecaster, plan.limits), motion_clip(design, forecaster)
     buffer = io.BytesIO()
@@ -66,7 +66,7 @@ def write_motion(
     return entry
 
 
-def commands_csv(design: MotionDesign, forecaster: Forecaster) -> str:
+def commands_csv(design: MotionDesign, forecaster: MotionForecaster) -> str:
     """The commands as a table; the last row is the command that is held at the end."""
     model, buffer = forecaster.model, io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -90,7 +90,11 @@ def command_unit(model: mujoco.MjModel, actuator: int) -> str:
 
 
 def motion_entry(
-    design: MotionDesign, rivals: Sequence[Rival], forecaster: Forecaster, plan: MotionPlan, parameters: Sequence[dict]
+    design: MotionDesign,
+    rivals: Sequence[Rival],
+    forecaster: MotionForecaster,
+    plan: MotionPlan,
+    parameters: Sequence[dict],
 ) -> dict[str, Any]:
     """The content of the JSON file."""
     pairs = [
@@ -125,7 +129,7 @@ def four_digits(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def parameter_rows(
+def information_rows(
     design: MotionDesign, rival: Rival, intervals: Mapping[tuple[str, str, str], tuple[float, float]],
     model: mujoco.MjModel,
 ) -> list[dict[str, Any]]:  # fmt: skip

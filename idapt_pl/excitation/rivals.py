@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.explanation import Explanation, Measurement, Standing
 from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.result import DiagnosisResult, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.result import DiagnosisResult
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.candidate import Candidate

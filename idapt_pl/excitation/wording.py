@@ -7,12 +7,12 @@ from itertools import combinations
 
 import numpy as np
 
-from idapt_pl.diagnosis.result import Standing
+from idapt_pl.diagnosis.explanation import Standing
 from idapt_pl.effects.wording import format_number
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.rivals import Rival
 
-CLEAR = 15.0
+DECISIVE = 15.0
 """Standard deviations from which a diagnosis decides on one recording; below, it may take two."""
 
 
@@ -37,7 +37,7 @@ def motion_in_words(design: MotionDesign, rivals: Sequence[Rival], goal: Goal) -
 def pair_in_words(first: Rival, second: Rival, apart: float, reachable: float) -> str:
     """What becomes of one pair."""
     pair = f"{first.name} from {second.name}"
-    if apart >= CLEAR:
+    if apart >= DECISIVE:
         return f"It tells {pair}: {format_number(apart)} standard deviations apart."
     if apart >= SEPARATED:
         return f"It tells {pair} just so ({format_number(apart)} standard deviations): play it several times."

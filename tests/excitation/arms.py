@@ -5,11 +5,11 @@ import json
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.result import ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
 from idapt_pl.effects.actuators import ActuatorBias
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.effects.world import ExternalForce
-from idapt_pl.excitation.forecast import Forecaster
+from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import limits_of
 from idapt_pl.excitation.plan import MotionPlan
 from idapt_pl.excitation.rivals import LeftOpen, rival_of
@@ -77,7 +77,7 @@ def quick_plan(xml=SERVO, limits=None, **settings):
 def forecaster(*explanations, xml=SERVO):
     open_ones = left_open(*explanations, xml=xml)
     model = compiled(xml)
-    return Forecaster(open_ones.spec, open_ones.rivals, np.zeros(model.nq), np.zeros(model.nu), 0.02, True, 1)
+    return MotionForecaster(open_ones.spec, open_ones.rivals, np.zeros(model.nq), np.zeros(model.nu), 0.02, True, 1)
 
 
 def report_folder(folder, *explanations, xml=SERVO, **changed):

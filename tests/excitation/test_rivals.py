@@ -6,7 +6,7 @@ import mujoco
 import pytest
 from arms import DAMPING, FRICTION, SERVO, report_folder
 
-from idapt_pl.diagnosis.result import Standing
+from idapt_pl.diagnosis.explanation import Standing
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.excitation.limits import ImpossibleMotion
 from idapt_pl.excitation.rivals import read_left_open

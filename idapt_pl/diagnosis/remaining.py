@@ -8,7 +8,8 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.result import Alternative, ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.result import Alternative
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Trial
