@@ -68,7 +68,10 @@ EXAMPLES = """examples:
     parameters: {damping: 0.06}
 """
 
-WRITTEN = ("report.html", "report.json", "effects.yaml", "patched.xml", "looks.yaml", "looks.png", "mended.h5")
+WRITTEN = (
+    "report.html", "report.json", "effects.yaml", "patched.xml", "unrepaired.xml", "looks.yaml", "looks.png",
+    "mended.h5",
+)  # fmt: skip
 """Files in the folder that a diagnosis writes."""
 
 

@@ -81,6 +81,29 @@ def _compile(name: str, numerics: Numerics, case: Case | None = None) -> mujoco.
     return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
 
 
+def first_episodes(case: Case, kinds: tuple[str, ...], seed: int) -> list[Recording]:
+    """An episode of each of these kinds of excitation."""
+    rng = np.random.default_rng([seed, zlib.crc32(case.name.encode())])
+    return [_Episode(case, kind, rng).record() for kind in kinds]
+
+
+def replay(case: Case, commands: np.ndarray, rng: np.random.Generator, start: np.ndarray | None = None) -> Recording:
+    """What the true world of a case does with commands (T, nu), in open loop and from rest.
+
+    Args:
+        case: what is hidden.
+        commands: held for a control period each.
+        rng: of the sensors' noise, and of the start if none is given.
+        start: true positions of the nominal joints, (nq,).
+    """
+    episode = _Episode(case, "low", rng)
+    episode.steps, episode.excitation, episode.balanced = len(commands), commands, False
+    episode.noise = sensor_noise(len(commands) + 1, episode.nominal, case.noise, rng)
+    if start is not None:
+        episode.put(start, np.zeros(episode.nominal.nv))
+    return episode.record()
+
+
 class _Episode:
     """One episode in the true world: an explicit loop over physics steps."""
 
@@ -111,6 +134,9 @@ class _Episode:
         qpos, qvel = self.rng.uniform(low, high), self.rng.uniform(-speed, speed, self.nominal.nv)
         if self.case.still:
             qpos, qvel = (low + high) / 2, np.zeros(self.nominal.nv)
+        self.put(qpos, qvel)
+
+    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
         for j in range(self.nominal.njnt):
             joint = self.model.joint(self.nominal.joint(j).name)
             self.data.qpos[joint.qposadr[0]], self.data.qvel[joint.dofadr[0]] = qpos[j], qvel[j]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, ClassVar
 
+from idapt_pl.diagnosis.explanation import Explanation, Measurement
 from idapt_pl.effects.base import Effect
 
 
@@ -262,6 +263,8 @@ class DiagnosisResult:
         signature: what an unexplained residual looks like; empty if there is none.
         next_experiment: what to record next; empty if nothing would help.
         runtime_s: how long it took.
+        explanations: what was found, then all that does as well; empty where nothing was found.
+        measurement: how the recordings were measured.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -274,6 +277,8 @@ class DiagnosisResult:
     signature: str
     next_experiment: str
     runtime_s: float = 0.0
+    explanations: Sequence[Explanation] = ()
+    measurement: Measurement | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -287,4 +292,6 @@ class DiagnosisResult:
             "signature": self.signature,
             "next_experiment": self.next_experiment,
             "runtime_s": self.runtime_s,
+            "explanations": [e.to_dict() for e in self.explanations],
+            "measurement": None if self.measurement is None else self.measurement.to_dict(),
         }

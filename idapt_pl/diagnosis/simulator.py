@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -74,10 +75,16 @@ class Simulator:
         self.threads = threads or os.cpu_count() or 1
         self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
-        self.calls = 0
+        self.calls, self.kept_models = 0, 8
         self._commands: dict = {}
         self._samples: dict = {}
         self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
+
+    def replaying(self, data: list[Recording]) -> Simulator:
+        """The same for other recordings; compiled models are shared."""
+        twin = copy.copy(self)
+        twin.data, twin._commands, twin._samples = data, {}, {}
+        return twin
 
     @property
     def channels(self) -> list[str]:
@@ -98,7 +105,7 @@ class Simulator:
         """The model and room to simulate it, for each thread; the last few are kept."""
         said = tuple(e for e in effects if not acts_outside_model(e))
         if said not in self._compiled:
-            if len(self._compiled) >= 8:
+            if len(self._compiled) >= self.kept_models:
                 self._compiled.pop(next(iter(self._compiled)))
             spec = self.spec.copy()
             for effect in said:

@@ -10,6 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.advice import next_experiment
 from idapt_pl.diagnosis.black_box import predictable_share
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.remaining import describe_measurement, remaining_explanations
 from idapt_pl.diagnosis.result import (
     Alternative,
     ChannelError,
@@ -62,6 +63,10 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         candidates=rejected_candidates(trials),
         signature=residual_signature(context, state, final) if verdict is Verdict.UNEXPLAINED_RESIDUAL else "",
         next_experiment=next_experiment(context, state, verdict),
+        explanations=remaining_explanations(
+            context, state, [q for a in state.accepted for q in inseparable(context.sim.model, a)]
+        ),
+        measurement=describe_measurement(context, state),
     )
 
 

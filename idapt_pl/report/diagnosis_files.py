@@ -12,7 +12,7 @@ from idapt_pl.deployment_faults import FaultReport
 from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
-from idapt_pl.files import write_atomically, write_json, write_yaml
+from idapt_pl.files import write_atomically, write_bytes, write_json, write_yaml
 from idapt_pl.report.diagnosis_figures import diagnosis_figures
 from idapt_pl.report.diagnosis_page import diagnosis_page
 from idapt_pl.report.diagnosis_wording import verdict_in_words
@@ -48,6 +48,7 @@ def write_diagnosis(
     html = diagnosis_page(diagnosis, repaired, drawn, model_name, data_name, fault_section(faults, fixed))
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
+    write_bytes(folder / "unrepaired.xml", repaired.nominal.encode())
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))
 
 
