@@ -1,0 +1,158 @@
+"""The search for a law of force where the library of effects leaves something unexplained.
+
+Regression of what is left proposes formulas, simulation fits them, and held-out episodes decide, as of any effect.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.law_candidate import LawCandidate
+from idapt_pl.diagnosis.law_proposals import Proposal, propose_laws
+from idapt_pl.diagnosis.numerics import retest_numerics
+from idapt_pl.diagnosis.revision import eliminate_needless
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
+from idapt_pl.estimation.intervals import paired_gain
+
+log = logging.getLogger(__name__)
+
+LEFT_OVER = 1.6
+"""Mean held-out loss (1 is noise) from which a law is looked for."""
+
+MOST_LAWS = 2
+"""Laws that are looked for, one after the other."""
+
+PROPOSED, FITTED = 16, 5
+"""Laws that regression proposes; of these, fitted without shortcuts and judged on held-out episodes."""
+
+LEAST_SHARE = 0.3
+"""Share of what is above the noise floor that a law must remove."""
+
+SURENESS = 2.0
+"""Lower confidence bound of the held-out gain, in standard errors, that must be above 0."""
+
+PRICE = 0.03
+"""Share of the best gain that every further parameter must be worth."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLaw:
+    """A law that was fitted by simulation and judged.
+
+    Attributes:
+        proposal: where it came from.
+        x: parameters of what was accepted before, then its own.
+        losses: of each held-out window with it, (n,).
+        gain, gain_error: of the held-out loss.
+    """
+
+    proposal: Proposal
+    x: tuple[np.ndarray, ...]
+    losses: np.ndarray
+    gain: float
+    gain_error: float
+
+    @property
+    def candidate(self) -> LawCandidate:
+        """The law."""
+        return self.proposal.candidate
+
+    def cost(self, best: float) -> float:
+        """Held-out loss, and what its parameters cost; ``best``: the best gain of all."""
+        return float(self.losses.mean()) + PRICE * best * self.candidate.size
+
+
+@dataclass(frozen=True, eq=False)
+class LawSearch:
+    """Outcome of a search for laws.
+
+    Attributes:
+        state: with the laws as accepted effects; needless effects are left out.
+        before: the state that the search began with.
+        others: of each law, the best that were refused for it.
+    """
+
+    state: SearchState
+    before: SearchState
+    others: dict[str, list[FittedLaw]]
+
+    @property
+    def laws(self) -> list[AcceptedEffect]:
+        """What was found."""
+        return laws_of(self.state)
+
+
+def laws_of(state: SearchState) -> list[AcceptedEffect]:
+    """Laws among the accepted effects."""
+    return [a for a in state.accepted if isinstance(a.candidate, LawCandidate)]
+
+
+def search_laws(context: SearchContext, state: SearchState) -> LawSearch:
+    """Look for laws on top of a finished search; the accepted effects are refitted with them."""
+    before, others = state, {}
+    for k in range(MOST_LAWS):
+        context.progress(f"looking for a law {k + 1}", 0.91 + 0.02 * k)
+        found = one_law(context, state, before)
+        if found is None:
+            break
+        state, refused = found
+        others[laws_of(state)[-1].candidate.formula] = refused
+        state = retest_numerics(context, refit_accepted(context, renew(context, state)))
+    if laws_of(state):
+        state = eliminate_needless(context, state)
+    if not laws_of(state):
+        state = before
+    return LawSearch(state, before, others)
+
+
+def one_law(
+    context: SearchContext, state: SearchState, before: SearchState
+) -> tuple[SearchState, list[FittedLaw]] | None:
+    """The state with the best law, not refitted, and those refused for it; None where none is good enough."""
+    now = context.loss(state.windows.held_out, state.effects)
+    if now.mean() < LEFT_OVER:
+        return None
+    proposals = propose_laws(context, state, PROPOSED)
+    fitted = fit_laws(context, state, proposals, now)
+    passed = [f for f in fitted if convincing(f, now)]
+    if not passed:
+        return None
+    best_gain = max(f.gain for f in passed)
+    best = min(passed, key=lambda f: f.cost(best_gain))
+    round = 1 + max((a.round for a in state.accepted), default=-1)
+    log.info("law %s on %s: %.3g -> %.3g", best.candidate.formula, best.candidate.target, now.mean(), best.losses.mean())
+    accepted = AcceptedEffect(round, best.candidate, best.x[-1])
+    others = sorted((f for f in fitted if f is not best), key=lambda f: f.losses.mean())
+    state = state.with_estimates(best.x[:-1])
+    return replace(state, accepted=(*state.accepted, accepted)), others
+
+
+def convincing(f: FittedLaw, now: np.ndarray) -> bool:
+    """Whether a law surely helps on held-out episodes, and much; ``now``: losses without it, (n,)."""
+    sure = f.gain - SURENESS * f.gain_error > 0
+    return sure and f.gain > LEAST_SHARE * max(float(now.mean()) - 1.0, 0.0)
+
+
+def fit_laws(
+    context: SearchContext, state: SearchState, proposals: Sequence[Proposal], now: np.ndarray
+) -> list[FittedLaw]:
+    """Fit proposals by simulation on few windows, the best on all, and judge these; ``now``: losses without, (n,)."""
+    rough = []
+    for p in proposals:
+        candidates, x = [*state.candidates, p.candidate], [*state.estimates, p.start]
+        fit = context.fit(state.windows.scout, state.fixed, candidates, x, 3)
+        rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
+    out = []
+    for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
+        candidates = [*state.candidates, p.candidate]
+        x = context.fit(state.windows.screen, state.fixed, candidates, x, 4).x
+        losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
+        out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
+        log.info("tried %s on %s: %.3g", p.candidate.formula, p.candidate.target, losses.mean())
+    return out
