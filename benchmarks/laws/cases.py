@@ -128,8 +128,8 @@ _add("link_encoder", "two_link", "elbow", "", planted.eccentric_encoder("elbow",
 
 # --- controls: nothing, and effects of the library --------------------------------------------------------------
 
-for _model, _tuned in (("pendulum", True), ("two_link", True), ("crane", False), ("hover", False), ("servo_arm", False)):
-    _add(f"{_model}_nothing", _model, "", "", None, _tuned, "nothing")
+for _model in ("pendulum", "two_link", "crane", "hover", "servo_arm"):
+    _add(f"{_model}_nothing", _model, "", "", None, _model in ("pendulum", "two_link"), "nothing")
 _add("pendulum_dry_friction", "pendulum", "", "", hidden.joint_frictionloss("axis", 0.15), True, "library")
 _add("two_link_damping", "two_link", "", "", hidden.joint_damping("elbow", 0.15), True, "library")
 _add("two_link_gain", "two_link", "", "", hidden.motor_gain("shoulder", 0.7), False, "library")

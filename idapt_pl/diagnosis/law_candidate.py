@@ -28,6 +28,10 @@ class LawCandidate(Candidate):
         """With letters for coefficients."""
         return str(dict(self.fixed)["expression"])
 
+    @property
+    def label(self) -> str:
+        return f"{self.kind.name}({self.target}: {self.formula})"
+
     def units(self) -> list[str]:
         return [unit for term in self.terms for unit in term_units(term, self.hinge)]
 
@@ -90,7 +94,11 @@ def law_candidate(
 
 def is_place(value: float, per: str, term: Term) -> bool:
     """Whether an inner parameter is a position where something is, and not a width."""
-    return per == "q" and any(form in term.text for form in ("(q - P)", "(P - q)", "positive(q - P)")) and value == term.inner[0]
+    return (
+        per == "q"
+        and any(form in term.text for form in ("(q - P)", "(P - q)", "positive(q - P)"))
+        and value == term.inner[0]
+    )
 
 
 def inner_scale(value: float, per: str, sizes: JointSizes, term: Term) -> float:

@@ -102,9 +102,7 @@ def sizes_of(context: SearchContext, joint: int, dof: int) -> JointSizes:
     return joint_sizes(sim.model, joint, qpos, qvel, episode, sim.control_period)
 
 
-def of_one_joint(
-    sizes: JointSizes, tried: Sequence[ColumnsOfTerm], test: ScoreTest, torque: float
-) -> list[Proposal]:
+def of_one_joint(sizes: JointSizes, tried: Sequence[ColumnsOfTerm], test: ScoreTest, torque: float) -> list[Proposal]:
     """Proposals with one term and with two on a joint."""
     left = test.left
 

@@ -102,7 +102,7 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch:
         if found is None:
             break
         state, refused = found
-        others[laws_of(state)[-1].candidate.formula] = refused
+        others[laws_of(state)[-1].candidate.label] = refused
         state = retest_numerics(context, refit_accepted(context, renew(context, state)))
     if laws_of(state):
         state = eliminate_needless(context, state)
@@ -126,7 +126,7 @@ def one_law(
     best_gain = max(f.gain for f in passed)
     best = min(passed, key=lambda f: f.cost(best_gain))
     round = 1 + max((a.round for a in state.accepted), default=-1)
-    log.info("law %s on %s: %.3g -> %.3g", best.candidate.formula, best.candidate.target, now.mean(), best.losses.mean())
+    log.info("law %s: %.3g -> %.3g", best.candidate.label, now.mean(), best.losses.mean())
     accepted = AcceptedEffect(round, best.candidate, best.x[-1])
     others = sorted((f for f in fitted if f is not best), key=lambda f: f.losses.mean())
     state = state.with_estimates(best.x[:-1])
@@ -145,8 +145,8 @@ def fit_laws(
     """Fit proposals by simulation on few windows, the best on all, and judge these; ``now``: losses without, (n,)."""
     rough = []
     for p in proposals:
-        candidates, x = [*state.candidates, p.candidate], [*state.estimates, p.start]
-        fit = context.fit(state.windows.scout, state.fixed, candidates, x, 3)
+        candidates = [*state.candidates, p.candidate]
+        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 3)
         rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
     out = []
     for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
@@ -154,5 +154,5 @@ def fit_laws(
         x = context.fit(state.windows.screen, state.fixed, candidates, x, 4).x
         losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
-        log.info("tried %s on %s: %.3g", p.candidate.formula, p.candidate.target, losses.mean())
+        log.info("tried %s: %.3g", p.candidate.label, losses.mean())
     return out

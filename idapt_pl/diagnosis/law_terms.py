@@ -97,7 +97,9 @@ def write_law(terms: Sequence[Term]) -> str:
     return " + ".join(t.written(letters) for t in terms)
 
 
-def joint_sizes(model: mujoco.MjModel, joint: int, qpos: np.ndarray, qvel: np.ndarray, episode: float, control: float) -> JointSizes:
+def joint_sizes(
+    model: mujoco.MjModel, joint: int, qpos: np.ndarray, qvel: np.ndarray, episode: float, control: float
+) -> JointSizes:
     """What a joint does, from all samples of its position and velocity, (n,) each."""
     places = np.quantile(qpos, [0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95])
     on = actuators_on(model, joint)

@@ -13,9 +13,9 @@ from mujoco import rollout
 
 from idapt_pl.diagnosis.backlash import BacklashCoordinates
 from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
+from idapt_pl.diagnosis.law_history import LawsInWindows
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.joints import PLAY_SUFFIX
-from idapt_pl.diagnosis.law_history import LawsInWindows
 from idapt_pl.effects.learned import SignalForce
 from idapt_pl.effects.runtime import Command, CommandEffect, ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.effects.world import ExternalForce

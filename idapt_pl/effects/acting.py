@@ -118,6 +118,7 @@ def actuators_on(model: mujoco.MjModel, joint: int) -> list[int]:
 
 _LAWS: WeakKeyDictionary[mujoco.MjModel, tuple[Effect, ...]] = WeakKeyDictionary()
 _ACTING: WeakKeyDictionary[mujoco.MjData, _InOneSimulation] = WeakKeyDictionary()
+"""Models and simulations do not carry effects, and tasks know neither domains nor laws: so they are looked up."""
 
 
 def register_laws(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
@@ -145,11 +146,13 @@ class _InOneSimulation:
 
     def __init__(self, model: mujoco.MjModel, laws: tuple[Effect, ...]) -> None:
         self.model, self.acting = model, ActingForces(model, laws)
-        self.time, self.before = np.inf, []
+        self.time = np.inf
+        self.before: list[Signals] = []
         self.memory = np.zeros((1, self.acting.memories))
 
     def step(self, data: mujoco.MjData) -> None:
-        now = MotionNow(*(np.array(x)[None] for x in (data.qpos, data.qvel, data.ctrl, data.act)), np.array([data.time]))
+        qpos, qvel, commands, activation = (np.array(x)[None] for x in (data.qpos, data.qvel, data.ctrl, data.act))
+        now = MotionNow(qpos, qvel, commands, activation, np.array([data.time]))
         signals = self.acting.signals(now)
         if data.time < self.time + 1e-12 and data.time != self.time:
             self.memory[:] = 0.0

@@ -118,11 +118,11 @@ def check(node: ast.expr, text: str, memories: list[ast.Call], names: set[str], 
     match node:
         case ast.Constant(value=bool()):
             pass
-        case ast.Constant(value=int() | float()) if abs(float(node.value)) < 1e12:
+        case ast.Constant(value=int() | float() as number) if abs(float(number)) < 1e12:
             return
         case ast.Name(id=name) if name in SIGNALS or name in COEFFICIENTS:
             if inside and name in ("motor", "load"):
-                raise ValueError(f"{text!r}: {name} cannot be remembered; lowpass takes q, v, u and t")
+                raise ValueError(f"{text!r}: a formula cannot remember {name}; lowpass takes q, v, u and t")
             names.add(name)
             return
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
@@ -158,7 +158,7 @@ def evaluate(
     """What a checked node comes to."""
     match node:
         case ast.Constant(value=int() | float() as number):
-            return np.float64(number)
+            return np.asarray(float(number))
         case ast.Name(id=name):
             return np.asarray(values[name], float)
         case ast.UnaryOp(op=op, operand=operand):
@@ -184,7 +184,7 @@ def combine(op: ast.operator, left: np.ndarray, right: np.ndarray) -> np.ndarray
             case ast.Mult():
                 result = left * right
             case ast.Div():
-                result = left / right
+                result = np.where(right == 0, 0.0, left / right)
             case _:
                 result = left**right
     return np.clip(np.nan_to_num(result, nan=0.0, posinf=1e12, neginf=-1e12), -1e12, 1e12)

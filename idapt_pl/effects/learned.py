@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -88,9 +88,9 @@ class LearnedForce(SignalForce):
         return len(self.parsed.memories)
 
     @property
-    def coefficients(self) -> dict[str, float]:
+    def coefficients(self) -> dict[str, np.ndarray]:
         """Values of the coefficients by name."""
-        return {k: getattr(self, k) for k in self.parsed.coefficients}
+        return {k: np.asarray(getattr(self, k), float) for k in self.parsed.coefficients}
 
     def force_from(self, signals: Signals, memory: np.ndarray) -> np.ndarray:
         value = self.parsed.value({**signals, **self.coefficients}, memory)
@@ -131,8 +131,9 @@ class ResidualNetwork(SignalForce):
     def __post_init__(self) -> None:
         super().__post_init__()
         names = self.inputs.split()
-        if unknown := [x for x in names if x not in SIGNALS and x not in MEMORY_INPUTS] or not names:
-            raise ValueError(f"{self.name} on {self.target!r}: inputs must be among {', '.join(SIGNALS)}; got {unknown}")
+        if not names or any(x not in SIGNALS and x not in MEMORY_INPUTS for x in names):
+            known = ", ".join([*SIGNALS, *MEMORY_INPUTS])
+            raise ValueError(f"{self.name} on {self.target!r}: inputs must be among {known}; got {self.inputs!r}")
         if len(self.spans) != len(names):
             raise ValueError(f"{self.name} on {self.target!r}: {len(names)} inputs need as many spans")
         layer_sizes(len(names), len(self.weights))
