@@ -2,44 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from idapt_pl.diagnosis.candidates import typical_sizes
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.law_candidate import LawCandidate, law_candidate
+from idapt_pl.diagnosis.law_candidate import LawCandidate, inner_span, law_candidate
+from idapt_pl.diagnosis.law_forecasts import JointForecasts, TermColumns, regress
 from idapt_pl.diagnosis.law_response import PUSH, force_response, measured_signals_of, term_values
 from idapt_pl.diagnosis.law_terms import JointSizes, Term, dictionary, joint_sizes
 from idapt_pl.diagnosis.screening import ScoreTest
 from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.effects.candidate import mechanical_joints
+from idapt_pl.effects.expression import COEFFICIENTS
 from idapt_pl.estimation.least_squares import project_out
 
-FIRST_TERMS = 12
-"""Single terms that a second one is looked for beside."""
+SINGLES, FIRST, SECOND = 8, 4, 3
+"""Shapes of one term that are refined on a joint; those of them that a second term is sought for; how many each."""
 
 COST = 3.0
 """Score that a parameter must be worth, in a ranking of proposals."""
 
-FLAT = 1e-9
-"""Share of a column that must be left after what was accepted is taken out of it."""
-
-
-@dataclass(frozen=True, eq=False)
-class ColumnsOfTerm:
-    """What a term does to the forecasts.
-
-    Attributes:
-        term: the term.
-        columns: d residual / d amplitude, (rows, amplitudes), orthogonal to what is accepted.
-        rms: of the function behind each amplitude, (amplitudes,).
-    """
-
-    term: Term
-    columns: np.ndarray
-    rms: np.ndarray
+MUCH = 0.2
+"""Share of the best joint's score that another joint must come to, to be looked at closely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,36 +49,44 @@ class Proposal:
         """Score, less what as many parameters cost."""
         return self.score - COST * self.candidate.size
 
-    @property
-    def shape(self) -> tuple[str, str]:
-        """Joint and formula: proposals with the same differ in where they start."""
-        return self.candidate.target, self.candidate.formula
+
+def propose_laws(forecasts: Sequence[JointForecasts], most: int) -> list[Proposal]:
+    """The best laws of one term and of two, half of each; best first."""
+    singles = [best_singles(f) for f in forecasts]
+    tops = [f.score(s[0]) if s else 0.0 for f, s in zip(forecasts, singles, strict=True)]
+    found: list[Proposal] = []
+    for f, ranked, top in zip(forecasts, singles, tops, strict=True):
+        if ranked and top > MUCH * max(tops):
+            refined = [f.refined(at, partial(spans, f.sizes)) for at in ranked[:SINGLES]]
+            pairs = [f.refined(at, partial(spans, f.sizes)) for at in best_pairs(f, by_merit(f, refined)[:FIRST])]
+            found += [proposal(f, at) for at in (*refined, *pairs)]
+    found.sort(key=lambda p: -p.merit)
+    one = [p for p in found if len(p.candidate.terms) == 1][: most // 2]
+    two = [p for p in found if len(p.candidate.terms) > 1][: most - len(one)]
+    return sorted(one + two, key=lambda p: -p.merit)
 
 
-def propose_laws(context: SearchContext, state: SearchState, most: int) -> list[Proposal]:
-    """The best laws of one term and of two, of every shape the best start; best first."""
+def joint_forecasts(context: SearchContext, state: SearchState) -> list[JointForecasts]:
+    """How the forecasts of the fitted windows depend on forces, joint by joint."""
     sim, split = context.sim, state.windows.fit
-    test = ScoreTest(context, state, split, context.whitened)
-    typical = typical_sizes(sim.model, list(sim.data), context.horizon)
     joints = mechanical_joints(sim.model)
     if not joints:
         return []
+    test = ScoreTest(context, state, split, context.whitened)
+    torque = typical_sizes(sim.model, list(sim.data), context.horizon).torque
     dofs = np.array([v for _, v, _ in joints])
-    response = force_response(context, state, split, dofs, PUSH * typical.torque[dofs])
+    response = force_response(context, state, split, dofs, PUSH * torque[dofs])
     seen = measured_signals_of(context, split.windows, [j for j, _, _ in joints])
-    found: list[Proposal] = []
-    for k, (j, v, _) in enumerate(joints):
-        sizes = sizes_of(context, j, v)
-        tried = []
-        for term in dictionary(sizes):
-            values = [term_values(context, split.windows, seen[k], text) for text in term.columns()]
-            columns = np.stack([np.einsum("nrk,nk->nr", response[:, :, k], x).ravel() for x in values], 1)
-            left = test.clear(columns)
-            if (np.linalg.norm(left, axis=0) > FLAT * np.linalg.norm(columns, axis=0) + 1e-300).all():
-                rms = np.sqrt(np.mean(np.square(values), (1, 2))) + 1e-12
-                tried.append(ColumnsOfTerm(term, left, rms))
-        found += of_one_joint(sizes, tried, test, float(typical.torque[v]))
-    return best_of_each_shape(found, most)
+    return [
+        JointForecasts(
+            sizes_of(context, j, v),
+            float(torque[v]),
+            response[:, :, k],
+            partial(term_values, context, split.windows, seen[k]),
+            test,
+        )
+        for k, (j, v, _) in enumerate(joints)
+    ]
 
 
 def sizes_of(context: SearchContext, joint: int, dof: int) -> JointSizes:
@@ -102,41 +98,50 @@ def sizes_of(context: SearchContext, joint: int, dof: int) -> JointSizes:
     return joint_sizes(sim.model, joint, qpos, qvel, episode, sim.control_period)
 
 
-def of_one_joint(sizes: JointSizes, tried: Sequence[ColumnsOfTerm], test: ScoreTest, torque: float) -> list[Proposal]:
-    """Proposals with one term and with two on a joint."""
-    left = test.left
+def merit(f: JointForecasts, at: TermColumns) -> float:
+    """Score, less what as many parameters cost."""
+    return f.score(at) - COST * sum(t.size for t in at.terms)
 
-    def proposal(chosen: Sequence[ColumnsOfTerm]) -> Proposal:
-        X = np.concatenate([c.columns for c in chosen], 1)
-        x, gain = regress(X, left)
-        typical = torque / np.concatenate([c.rms for c in chosen])
-        x = np.clip(x, -100 * typical, 100 * typical)
-        return Proposal(*law_candidate(sizes, [c.term for c in chosen], x, typical), gain / test.variance)
 
-    singles = sorted(((proposal([c]), c) for c in tried), key=lambda p: -p[0].merit)
-    pairs = []
-    for _, first in singles[:FIRST_TERMS]:
+def by_merit(f: JointForecasts, found: Iterable[TermColumns]) -> list[TermColumns]:
+    """Best first."""
+    return sorted(found, key=lambda at: -merit(f, at))
+
+
+def best_singles(f: JointForecasts) -> list[TermColumns]:
+    """Every shape with one term, at the best of its starts; best first."""
+    tried = [at for term in dictionary(f.sizes) if (at := f.columns([term]))]
+    best: dict[str, TermColumns] = {}
+    for at in by_merit(f, tried):
+        best.setdefault(at.terms[0].text, at)
+    return list(best.values())
+
+
+def best_pairs(f: JointForecasts, firsts: Sequence[TermColumns]) -> list[TermColumns]:
+    """The best second terms beside some first ones."""
+    every = [at for term in dictionary(f.sizes) if (at := f.columns([term]))]
+    found: dict[frozenset[str], TermColumns] = {}
+    for first in firsts:
         Q = np.linalg.qr(first.columns)[0]
-        rest = project_out(Q, left[:, None])[:, 0]
-        others = [(regress(project_out(Q, c.columns), rest)[1], c) for c in tried if c is not first]
-        best = sorted(others, key=lambda o: -o[0])[:4]
-        pairs += [proposal([first, c]) for gain, c in best if first.term.size + c.term.size <= 8]
-    return [p for p, _ in singles] + pairs
+        rest = project_out(Q, f.test.left[:, None])[:, 0]
+        gains = [(regress(project_out(Q, at.columns), rest)[1], at) for at in every]
+        shapes: dict[str, TermColumns] = {}
+        for _, at in sorted(gains, key=lambda g: -g[0]):
+            if first.terms[0].size + at.terms[0].size <= len(COEFFICIENTS):
+                shapes.setdefault(at.terms[0].text, at)
+        for at in list(shapes.values())[:SECOND]:
+            found.setdefault(frozenset((first.terms[0].text, at.terms[0].text)), first.beside(at))
+    return list(found.values())
 
 
-def regress(X: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float]:
-    """Least-squares amplitudes that make ``left`` + X x small, and how much squared error they remove."""
-    H, g = X.T @ X, X.T @ left
-    scale = np.sqrt(np.diag(H)) + 1e-300
-    x = -np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale
-    return x, float(-2 * x @ g - x @ H @ x)
+def spans(sizes: JointSizes, term: Term) -> list[tuple[float, float]]:
+    """Bounds of a term's inner parameters."""
+    return [inner_span(value, per, sizes, term) for value, per in zip(term.inner, term.per, strict=True)]
 
 
-def best_of_each_shape(found: Sequence[Proposal], most: int) -> list[Proposal]:
-    """The best start of each formula; half of the places are for laws of one term."""
-    best: dict[tuple[str, str], Proposal] = {}
-    for p in sorted(found, key=lambda p: -p.merit):
-        best.setdefault(p.shape, p)
-    singles = [p for p in best.values() if len(p.candidate.terms) == 1][: most // 2]
-    pairs = [p for p in best.values() if len(p.candidate.terms) > 1][: most - len(singles)]
-    return sorted(singles + pairs, key=lambda p: -p.merit)
+def proposal(f: JointForecasts, at: TermColumns) -> Proposal:
+    """A law as a candidate, with the best amplitudes."""
+    x, gain = regress(at.columns, f.test.left)
+    typical = f.torque / at.rms
+    x = np.clip(x, -100 * typical, 100 * typical)
+    return Proposal(*law_candidate(f.sizes, at.terms, x, typical), gain / f.test.variance)

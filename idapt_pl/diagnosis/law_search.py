@@ -14,7 +14,9 @@ import numpy as np
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_candidate import LawCandidate
-from idapt_pl.diagnosis.law_proposals import Proposal, propose_laws
+from idapt_pl.diagnosis.law_forecasts import JointForecasts
+from idapt_pl.diagnosis.law_places import ResidualPlace, blamed_sensor, residual_places
+from idapt_pl.diagnosis.law_proposals import Proposal, joint_forecasts, propose_laws
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.revision import eliminate_needless
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
@@ -28,8 +30,8 @@ LEFT_OVER = 1.6
 MOST_LAWS = 2
 """Laws that are looked for, one after the other."""
 
-PROPOSED, FITTED = 16, 5
-"""Laws that regression proposes; of these, fitted without shortcuts and judged on held-out episodes."""
+PROPOSED, FITTED = 8, 3
+"""Laws that regression proposes; of these, fitted on more windows and judged on held-out episodes."""
 
 LEAST_SHARE = 0.3
 """Share of what is above the noise floor that a law must remove."""
@@ -76,11 +78,17 @@ class LawSearch:
         state: with the laws as accepted effects; needless effects are left out.
         before: the state that the search began with.
         others: of each law, the best that were refused for it.
+        places: where the residual lived before.
+        sensor: the joint whose sensor is to blame, if one is.
+        network: joint, inputs and share of the removable error of what stands in for a law.
     """
 
     state: SearchState
     before: SearchState
     others: dict[str, list[FittedLaw]]
+    places: Sequence[ResidualPlace] = ()
+    sensor: str = ""
+    network: tuple[str, tuple[str, ...], float] | None = None
 
     @property
     def laws(self) -> list[AcceptedEffect]:
@@ -93,33 +101,46 @@ def laws_of(state: SearchState) -> list[AcceptedEffect]:
     return [a for a in state.accepted if isinstance(a.candidate, LawCandidate)]
 
 
-def search_laws(context: SearchContext, state: SearchState) -> LawSearch:
-    """Look for laws on top of a finished search; the accepted effects are refitted with them."""
+def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
+    """Look for laws on top of a finished search; the accepted effects are refitted with them.
+
+    None where too little is left to look for, or nothing could have a law.
+    """
+    if not explains_too_little(context, state):
+        return None
+    context.progress("where is the rest?", 0.91)
+    forecasts = joint_forecasts(context, state)
+    if not forecasts:
+        return None
+    places = residual_places(context, state, forecasts)
+    if sensor := blamed_sensor(places):
+        return LawSearch(state, state, {}, places, sensor.joint)
     before, others = state, {}
     for k in range(MOST_LAWS):
-        context.progress(f"looking for a law {k + 1}", 0.91 + 0.02 * k)
-        found = one_law(context, state, before)
+        context.progress(f"looking for a law {k + 1}", 0.92 + 0.01 * k)
+        found = one_law(context, state, forecasts if k == 0 else joint_forecasts(context, state))
         if found is None:
             break
-        state, refused = found
-        others[laws_of(state)[-1].candidate.label] = refused
+        state, others[laws_of(found[0])[-1].candidate.label] = found
         state = retest_numerics(context, refit_accepted(context, renew(context, state)))
+        if not explains_too_little(context, state):
+            break
     if laws_of(state):
         state = eliminate_needless(context, state)
-    if not laws_of(state):
-        state = before
-    return LawSearch(state, before, others)
+    return LawSearch(state if laws_of(state) else before, before, others, places)
+
+
+def explains_too_little(context: SearchContext, state: SearchState) -> bool:
+    """Whether so much is left that a law is worth looking for."""
+    return float(context.loss(state.windows.held_out, state.effects).mean()) > LEFT_OVER
 
 
 def one_law(
-    context: SearchContext, state: SearchState, before: SearchState
+    context: SearchContext, state: SearchState, forecasts: Sequence[JointForecasts]
 ) -> tuple[SearchState, list[FittedLaw]] | None:
     """The state with the best law, not refitted, and those refused for it; None where none is good enough."""
     now = context.loss(state.windows.held_out, state.effects)
-    if now.mean() < LEFT_OVER:
-        return None
-    proposals = propose_laws(context, state, PROPOSED)
-    fitted = fit_laws(context, state, proposals, now)
+    fitted = fit_laws(context, state, propose_laws(forecasts, PROPOSED), now)
     passed = [f for f in fitted if convincing(f, now)]
     if not passed:
         return None
@@ -146,12 +167,12 @@ def fit_laws(
     rough = []
     for p in proposals:
         candidates = [*state.candidates, p.candidate]
-        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 3)
+        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 2)
         rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
     out = []
     for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
         candidates = [*state.candidates, p.candidate]
-        x = context.fit(state.windows.screen, state.fixed, candidates, x, 4).x
+        x = context.fit(state.windows.screen, state.fixed, candidates, x, 3).x
         losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
         log.info("tried %s: %.3g", p.candidate.label, losses.mean())

@@ -262,6 +262,7 @@ class DiagnosisResult:
         signature: what an unexplained residual looks like; empty if there is none.
         next_experiment: what to record next; empty if nothing would help.
         runtime_s: how long it took.
+        laws: what a search for laws came to; empty where none was made.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -274,10 +275,12 @@ class DiagnosisResult:
     signature: str
     next_experiment: str
     runtime_s: float = 0.0
+    laws: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
-        return {
+        extra = {"laws": dict(self.laws)} if self.laws else {}
+        return extra | {
             "schema": self.SCHEMA,
             "verdict": self.verdict.value,
             "error": self.error.to_dict(),

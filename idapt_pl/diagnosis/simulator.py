@@ -36,6 +36,9 @@ SETTLING_SAMPLES = 8
 FORCE_HOLD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
 
+LAW_HOLD = 2e-3
+"""The same of learned laws, which are smooth [s]."""
+
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
 _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
@@ -252,7 +255,8 @@ class Simulator:
             states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
         laws = LawsInWindows(model, forces, self.data, windows)
-        states, held = [start], max(1, int(FORCE_HOLD / model.opt.timestep + 1e-6))
+        hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
+        states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):
             commands = controls[:, k : k + held]
             applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states[-1])

@@ -45,6 +45,7 @@ class ActingForces:
         pairs = [(e, j) for e in effects if isinstance(e, SignalForce) for j in joints_meant(model, e.target)]
         self.pairs: list[tuple[SignalForce, int]] = pairs
         self.memories = sum(e.memories for e, _ in pairs)
+        self.driven = not pairs or any("motor" in e.signals for e, _ in pairs)
         self.loaded = any(e.signals & {"motor", "load"} for e, _ in pairs)
 
     def signals(self, now: MotionNow) -> list[Signals]:
@@ -56,14 +57,20 @@ class ActingForces:
         """Forces of actuators, and of gravity and motion, on all degrees of freedom, (n, nv) each."""
         d, m = self.scratch, self.model
         motor, load = np.zeros_like(now.qvel), np.zeros_like(now.qvel)
-        for i in range(len(now.qvel)):
-            d.qpos[:], d.qvel[:], d.ctrl[:] = now.qpos[i], now.qvel[i], now.commands[i]
-            if m.na:
-                d.act[:] = now.activation[i]
-            mujoco.mj_fwdPosition(m, d)
+        for i in range(len(now.qvel)):  # no more of mj_forward than it takes
+            d.qpos, d.qvel = now.qpos[i], now.qvel[i]
+            mujoco.mj_kinematics(m, d)
+            mujoco.mj_comPos(m, d)
+            mujoco.mj_tendon(m, d)
+            mujoco.mj_transmission(m, d)
             mujoco.mj_fwdVelocity(m, d)
-            mujoco.mj_fwdActuation(m, d)
-            motor[i], load[i] = d.qfrc_actuator, d.qfrc_bias
+            load[i] = d.qfrc_bias
+            if self.driven:
+                d.ctrl = now.commands[i]
+                if m.na:
+                    d.act = now.activation[i]
+                mujoco.mj_fwdActuation(m, d)
+                motor[i] = d.qfrc_actuator
         return motor, load
 
     def remember(

@@ -69,8 +69,11 @@ class Expression:
         return tuple(sorted(self.names & set(COEFFICIENTS)))
 
     def value(self, values: Values, memory: np.ndarray) -> np.ndarray:
-        """What it comes to; ``memory``: states, (..., memories)."""
-        return evaluate(self.tree, values, [memory[..., i] for i in range(len(self.memories))], self.memories)
+        """What it comes to, no number and infinity as 0; ``memory``: states, (..., memories)."""
+        with np.errstate(all="ignore"):
+            states = [memory[..., i] for i in range(len(self.memories))]
+            result = evaluate(self.tree, values, states, self.memories)
+        return np.where(np.abs(result) < 1e12, result, 0.0)
 
     def step(self, before: Values, now: Values, memory: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
         """The states after signals went from one value to the next in so many seconds, (..., memories)."""
@@ -78,7 +81,8 @@ class Expression:
         for i, call in enumerate(self.memories):
             x = evaluate(call.args[-1], before, [], ())
             if call_name(call) == "lowpass":
-                reached = evaluate(call.args[0], before, [], ())
+                with np.errstate(all="ignore"):
+                    reached = np.nan_to_num(evaluate(call.args[0], before, [], ()), posinf=0.0, neginf=0.0)
                 share = -np.expm1(-seconds / np.maximum(x, 1e-9))
                 after[..., i] += share * (reached - memory[..., i])
             else:
@@ -174,17 +178,15 @@ def evaluate(
 
 
 def combine(op: ast.operator, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Two numbers joined; what cannot be divided or raised is 0, and nothing is larger than 1e12."""
-    with np.errstate(all="ignore"):
-        match op:
-            case ast.Add():
-                result = left + right
-            case ast.Sub():
-                result = left - right
-            case ast.Mult():
-                result = left * right
-            case ast.Div():
-                result = np.where(right == 0, 0.0, left / right)
-            case _:
-                result = left**right
-    return np.clip(np.nan_to_num(result, nan=0.0, posinf=1e12, neginf=-1e12), -1e12, 1e12)
+    """Two numbers joined; what is divided by 0 is 0."""
+    match op:
+        case ast.Add():
+            return left + right
+        case ast.Sub():
+            return left - right
+        case ast.Mult():
+            return left * right
+        case ast.Div():
+            return np.where(right == 0, 0.0, left / right)
+        case _:
+            return left**right

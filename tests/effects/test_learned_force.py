@@ -1,5 +1,7 @@
 """Formulas of forces: what they may say, what they come to, and that simulations feel them."""
 
+import itertools
+
 import mujoco
 import numpy as np
 import pytest
@@ -56,7 +58,7 @@ def test_a_lowpass_follows_an_exponential_and_hysteresis_turns_back_on_the_other
     assert memory[0, 0] == pytest.approx(1 - np.exp(-1.0))
     memory, path = np.zeros((1, 1)), [0.0, 0.05, 0.5, 0.45]
     seen = []
-    for before, now in zip(path[:-1], path[1:], strict=True):
+    for before, now in itertools.pairwise(path):
         memory = bent.step({"q": before * one}, {"q": now * one}, memory, 0.01)
         seen.append(memory[0, 0])
     assert seen[0] == pytest.approx(1 - np.exp(-0.5)) and seen[1] > 0.98 and abs(seen[2]) < 0.3
