@@ -50,6 +50,7 @@ from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.fault_section import fault_sentences
 from idapt_pl.report.forecast_page import forecast_verdict
+from idapt_pl.report.law_section import law_sentences
 from idapt_pl.run import Run
 
 EXAMPLES = """examples:
@@ -99,6 +100,7 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
+    p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
     return p
@@ -142,7 +144,8 @@ def main(args: list[str]) -> int:
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads, **how,
+                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
+                laws=not o.no_laws, **how,
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{o.data}: {error}") from None
@@ -231,7 +234,7 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
         errors.add_row(name, format_number(value), what)
     tables = [errors, *effects_tables(result.effects, model)]
     notes = {"the rest": result.signature, "next": result.next_experiment}
-    print_findings(verdict_in_words(result, model), tables, out, notes)
+    print_findings([*verdict_in_words(result, model), *law_sentences(result.laws)], tables, out, notes)
     if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
         names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
         words = f"not in patched.xml, as MJCF has no words for it: {escape(names)}"

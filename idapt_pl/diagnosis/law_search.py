@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_candidate import LawCandidate
 from idapt_pl.diagnosis.law_forecasts import JointForecasts
+from idapt_pl.diagnosis.law_network import fit_network
 from idapt_pl.diagnosis.law_places import ResidualPlace, blamed_sensor, residual_places
 from idapt_pl.diagnosis.law_proposals import Proposal, joint_forecasts, propose_laws
 from idapt_pl.diagnosis.numerics import retest_numerics
@@ -38,6 +39,9 @@ LEAST_SHARE = 0.3
 
 SURENESS = 2.0
 """Lower confidence bound of the held-out gain, in standard errors, that must be above 0."""
+
+NETWORKS = 2
+"""Joints on which a black box is tried."""
 
 PRICE = 0.03
 """Share of the best gain that every further parameter must be worth."""
@@ -127,7 +131,26 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
             break
     if laws_of(state):
         state = eliminate_needless(context, state)
-    return LawSearch(state if laws_of(state) else before, before, others, places)
+    if laws_of(state):
+        return LawSearch(state, before, others, places)
+    return with_network(context, LawSearch(before, before, others, places), forecasts)
+
+
+def with_network(context: SearchContext, search: LawSearch, forecasts: Sequence[JointForecasts]) -> LawSearch:
+    """The search with a black box in place of a law, on the joint where it does best, if it surely helps."""
+    context.progress("a black box for the rest", 0.94)
+    state, best = search.before, [p.joint for p in search.places if p.kind == "force"][:NETWORKS]
+    fits = [fit_network(context, state, f) for f in forecasts if f.sizes.name in best]
+    for fit in sorted(fits, key=lambda fit: fit.left)[:1]:
+        now = context.loss(state.windows.held_out, state.effects)
+        after = context.loss(state.windows.held_out, (*state.effects, fit.effect))
+        gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
+        if worth_it(gain, error, now):
+            share = gain / max(float(now.mean()) - 1.0, 1e-9)
+            fixed = (*state.fixed, fit.effect)
+            box = fit.effect.target, tuple(fit.effect.inputs.split()), round(share, 4)
+            return replace(search, state=replace(state, fixed=fixed), network=box)
+    return search
 
 
 def explains_too_little(context: SearchContext, state: SearchState) -> bool:
@@ -141,7 +164,7 @@ def one_law(
     """The state with the best law, not refitted, and those refused for it; None where none is good enough."""
     now = context.loss(state.windows.held_out, state.effects)
     fitted = fit_laws(context, state, propose_laws(forecasts, PROPOSED), now)
-    passed = [f for f in fitted if convincing(f, now)]
+    passed = [f for f in fitted if worth_it(f.gain, f.gain_error, now)]
     if not passed:
         return None
     best_gain = max(f.gain for f in passed)
@@ -154,10 +177,9 @@ def one_law(
     return replace(state, accepted=(*state.accepted, accepted)), others
 
 
-def convincing(f: FittedLaw, now: np.ndarray) -> bool:
-    """Whether a law surely helps on held-out episodes, and much; ``now``: losses without it, (n,)."""
-    sure = f.gain - SURENESS * f.gain_error > 0
-    return sure and f.gain > LEAST_SHARE * max(float(now.mean()) - 1.0, 0.0)
+def worth_it(gain: float, error: float, now: np.ndarray) -> bool:
+    """Whether a held-out gain is sure and large; ``now``: losses without it, (n,)."""
+    return gain - SURENESS * error > 0 and gain > LEAST_SHARE * max(float(now.mean()) - 1.0, 0.0)
 
 
 def fit_laws(

@@ -32,5 +32,4 @@ def add_laws(
         search = replace(search, state=state)
         found = summarise_search(context, state, trials)
         result = replace(found, verdict=Verdict.UNEXPLAINED_RESIDUAL, next_experiment=result.next_experiment)
-    report = report_laws(context, search, time.perf_counter() - started)
-    return state, replace(result, laws=report.to_dict())
+    return state, replace(result, laws=report_laws(context, search, time.perf_counter() - started))

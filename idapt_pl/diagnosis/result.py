@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from idapt_pl.effects.base import Effect
+
+if TYPE_CHECKING:
+    from idapt_pl.diagnosis.law_result import LawReport
 
 
 class Verdict(StrEnum):
@@ -262,7 +265,7 @@ class DiagnosisResult:
         signature: what an unexplained residual looks like; empty if there is none.
         next_experiment: what to record next; empty if nothing would help.
         runtime_s: how long it took.
-        laws: what a search for laws came to; empty where none was made.
+        laws: what a search for laws came to; None where none was made.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -275,12 +278,11 @@ class DiagnosisResult:
     signature: str
     next_experiment: str
     runtime_s: float = 0.0
-    laws: Mapping[str, Any] = field(default_factory=dict)
+    laws: LawReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
-        extra = {"laws": dict(self.laws)} if self.laws else {}
-        return extra | {
+        return {
             "schema": self.SCHEMA,
             "verdict": self.verdict.value,
             "error": self.error.to_dict(),
@@ -290,4 +292,5 @@ class DiagnosisResult:
             "signature": self.signature,
             "next_experiment": self.next_experiment,
             "runtime_s": self.runtime_s,
+            **({} if self.laws is None else {"laws": self.laws.to_dict()}),
         }
