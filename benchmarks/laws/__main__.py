@@ -24,8 +24,8 @@ import mujoco
 from tables import read_rows, write_rows
 from tqdm import tqdm
 
-import benchmarks.laws.models  # noqa: F401  registers them
 from benchmarks.laws.cases import PLANTED, PlantedLaw
+from benchmarks.laws.models import register_models
 from benchmarks.undeclared.generate import generate
 from cli.provenance import git_commit
 from datamodules import read_trajectories
@@ -139,6 +139,7 @@ def main() -> None:
     p.add_argument("--data", type=Path, default=ROOT / "runs" / "laws")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "laws.csv")
     o = p.parse_args()
+    register_models()
     rows = read_rows(o.out)
     names = o.cases or [n for n, planted in PLANTED.items() if not (o.held_out and planted.tuned)]
     wanted = [(n, s) for s in o.seeds for n in names] if not o.summary else []

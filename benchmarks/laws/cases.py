@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.laws import planted
+from benchmarks.laws.models import LAW_MODELS
 from benchmarks.laws.planted import on_joint
 from benchmarks.undeclared import hidden
 from benchmarks.undeclared.cases import FINE, RK4, Case, Numerics
@@ -45,7 +46,7 @@ def _add(
     """Register a case; ``depends`` are alternatives such as ``"q v | v load"``."""
     parts = () if part is None else (part,)
     truth = tuple(p.truth for p in parts)
-    case = Case(name, model, truth, "outside", (), parts, numerics, MODELS[model].noise)
+    case = Case(name, model, truth, "outside", (), parts, numerics, {**MODELS, **LAW_MODELS}[model].noise)
     sets = tuple(frozenset(words.split()) for words in depends.split("|")) if depends else ()
     PLANTED[name] = PlantedLaw(case, joint, sets, tuned, kind)
 
