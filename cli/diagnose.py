@@ -38,7 +38,7 @@ from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
@@ -46,6 +46,7 @@ from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.fault_section import fault_sentences
@@ -234,11 +235,16 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
         errors.add_row(name, format_number(value), what)
     tables = [errors, *effects_tables(result.effects, model)]
     notes = {"the rest": result.signature, "next": result.next_experiment}
-    print_findings([*verdict_in_words(result, model), *law_sentences(result.laws)], tables, out, notes)
+    print_findings([*verdict_in_words(result, model), *more_sentences(result)], tables, out, notes)
     if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
         names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
         words = f"not in patched.xml, as MJCF has no words for it: {escape(names)}"
         Console().print(words, soft_wrap=True)
+
+
+def more_sentences(result: DiagnosisResult) -> list[str]:
+    """What changes, and laws for what no effect explains."""
+    return [*change_sentences(result.changes), *law_sentences(result.laws)]
 
 
 def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from idapt_pl.effects.base import Effect
 
 if TYPE_CHECKING:
+    from idapt_pl.diagnosis.changes import ChangeReport
     from idapt_pl.diagnosis.law_result import LawReport
 
 
@@ -266,6 +267,7 @@ class DiagnosisResult:
         next_experiment: what to record next; empty if nothing would help.
         runtime_s: how long it took.
         laws: what a search for laws came to; None where none was made.
+        changes: whether effects stay the same throughout; None where that was not tested.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -279,6 +281,7 @@ class DiagnosisResult:
     next_experiment: str
     runtime_s: float = 0.0
     laws: LawReport | None = None
+    changes: ChangeReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -292,5 +295,5 @@ class DiagnosisResult:
             "signature": self.signature,
             "next_experiment": self.next_experiment,
             "runtime_s": self.runtime_s,
-            **({} if self.laws is None else {"laws": self.laws.to_dict()}),
+            **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
         }

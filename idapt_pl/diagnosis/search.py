@@ -10,6 +10,7 @@ import mujoco
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.acceptance import accept, confirm
+from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.laws import add_laws
@@ -105,8 +106,10 @@ def diagnose(
     state, trials = run_search(context, state)
     progress("judging", 0.95)
     result = summarise_search(context, state, trials)
-    if laws:
+    changes = find_changes(context, state)
+    if laws and not changes_over_recordings(changes):
         state, result = add_laws(context, state, trials, result)
+    result = replace(result, changes=changes)
     result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
     progress("done", 1.0)
     held_out = state.windows.held_out.windows
