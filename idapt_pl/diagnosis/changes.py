@@ -1,77 +1,44 @@
-"""Effects that change while they are recorded: is a parameter the same throughout, does it drift, or step?
-
-Every window has a score (slope of its loss) and an information for each parameter, both by simulation. A parameter that
-changes in time is a regression of scores on functions of time. Whether it is more than chance says a wild bootstrap:
-scores of whole stretches of the recordings change their sign at random (Rademacher; Cameron, Gelbach & Miller 2008), so
-that what windows of a stretch have in common is no evidence.
-"""
+"""Effects that change while they are recorded: is a parameter the same throughout, does it drift, or step?"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from idapt_pl.diagnosis.change_statistics import (
+    FEWEST_CLUSTERS,
+    TimeShape,
+    WindowScores,
+    WindowTimes,
+    constancy_test,
+    scores_of,
+    stretches_of,
+    time_shapes,
+)
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.law_candidate import LawCandidate
+from idapt_pl.diagnosis.law_search import LEFT_OVER
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.wording import unit_at
-from idapt_pl.estimation.least_squares import huber_weights
+from idapt_pl.effects.world import ExternalForce
+from idapt_pl.estimation.least_squares import robust_loss
 
 LEVEL = 0.01
 """Share of recordings of what is constant in which a change is reported, over all parameters and kinds of change."""
 
-DRAWS = 999
-"""Of the bootstrap."""
-
-FEWEST_CLUSTERS = 10
-"""Stretches that a test takes; episodes are halved or quartered until there are as many."""
-
 LEAST_CHANGE = 0.1
 """Of the parameter's size (or, near 0, of its scale) that a change must come to."""
 
-MUCH = 0.3
+MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
 STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
-
-
-@dataclass(frozen=True)
-class TimeShape:
-    """How a parameter may change.
-
-    Attributes:
-        kind: ``drift_within``, ``decay_within``, ``step_within`` (the same in every episode), ``drift_over``,
-            ``step_over`` (the recordings in their order).
-        f: function of time at every window, (n,).
-        at: time constant of a decay, or time of a step, s; NaN for drifts.
-        episode: in which a step over the recordings lies; -1 for others.
-        cost: parameters, the sought time among them.
-    """
-
-    kind: str
-    f: np.ndarray
-    at: float
-    episode: int
-    cost: int
-
-
-@dataclass(frozen=True, eq=False)
-class WindowScores:
-    """Scores of a parameter, window by window in the order of the recordings.
-
-    Attributes:
-        score: d loss / d parameter, (n,); the best constant change taken out.
-        information: (n,).
-        dispersion: by how much stretches differ more than noise would make them, at least 1.
-    """
-
-    score: np.ndarray
-    information: np.ndarray
-    dispersion: float
 
 
 @dataclass(frozen=True)
@@ -122,41 +89,70 @@ class ChangeReport:
         return {"tested": self.tested, "found": [f.to_dict() for f in self.found]}
 
 
+@dataclass(frozen=True, eq=False)
+class ParameterInTime:
+    """A parameter whose constancy is tested.
+
+    Attributes:
+        candidate: whose it is.
+        k: its number there.
+        value: the best constant one.
+        slopes: d whitened residual / d parameter of all windows in order, (n, rows).
+        accepted: the accepted effect that it belongs to; None for a candidate that is not accepted.
+    """
+
+    candidate: Candidate
+    k: int
+    value: float
+    slopes: np.ndarray
+    accepted: AcceptedEffect | None
+
+
 def find_changes(context: SearchContext, state: SearchState) -> ChangeReport | None:
-    """Which parameters of the accepted effects change; None where there is nothing to test, or too little."""
-    effects = [a for a in state.accepted if not isinstance(a.candidate, LawCandidate)]
+    """Which parameters change: of the accepted effects, and where much is left, of other candidates.
+
+    None where there is nothing to test, or too little to tell.
+    """
     at = windows_in_order(context, state)
     clusters = stretches_of(at)
-    if not effects or len(np.unique(clusters)) < FEWEST_CLUSTERS:
+    if len(np.unique(clusters)) < FEWEST_CLUSTERS:
         return None
     context.progress("does it change?", 0.9)
-    z, J = residual_slopes_of(context, state, at.order)
-    names = [(a, k) for a in state.accepted for k in range(a.candidate.size)]
-    tested = [(i, a, k) for i, (a, k) in enumerate(names) if a in effects and k < (a.candidate.strength or 99)]
-    scores = {i: scores_of(z, J, i, clusters) for i, _, _ in tested}
-    shapes = [s for s in time_shapes(context, at) if np.ptp(s.f) > 0]
-    best, p = test_constancy([scores[i] for i, _, _ in tested], shapes, clusters, context.seed)
-    found = []
-    for (i, a, k), shape, chance in zip(tested, best, p, strict=True):
-        if chance <= LEVEL and (finding := describe(context, at, scores[i], shape, a, k, chance, z)):
-            found.append(finding)
-    strongest = sorted(found, key=lambda f: -f.removed_share)
-    return ChangeReport(len(tested), [f for f in strongest if f.removed_share > 0.25 * strongest[0].removed_share])
+    z = all_windows(context, state, state.effects, at.order)
+    accepted = accepted_parameters(context, state, at.order, z)
+    shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
+    found = changing_ones(context, state, at, z, accepted, accepted, shapes, clusters)
+    tested = len(accepted)
+    if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.removed_share for f in found[:1]) < MOST_OF_REST:
+        others = other_candidates(context, state, at.order, z)
+        tested += len(others)
+        found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
+        found = [f for f in found if f.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
+    return ChangeReport(tested, found) if tested else None
+
+
+def changing_ones(
+    context: SearchContext, state: SearchState, at: WindowTimes, z: np.ndarray, tested: Sequence[ParameterInTime],
+    accepted: Sequence[ParameterInTime], shapes: Sequence[TimeShape], clusters: np.ndarray,
+) -> list[ChangeFinding]:  # fmt: skip
+    """Those of some parameters that surely change, what explains most first; accepted ones are fitted beside each."""
+    if not tested:
+        return []
+    scores = [scores_of(z, [t.slopes for t in accepted if t is not own], own.slopes, clusters) for own in tested]
+    best, p = constancy_test(scores, shapes, clusters, context.seed)
+    found = [
+        finding
+        for t, w, shape, chance in zip(tested, scores, best, p, strict=True)
+        if chance <= LEVEL and (finding := describe(context, state, at, w, shape, t, chance, z))
+    ]
+    found.sort(key=lambda f: -f.removed_share)
+    return [f for f in found if f.removed_share > 0.25 * found[0].removed_share]
 
 
 def changes_over_recordings(changes: ChangeReport | None) -> bool:
     """Whether a change from recording to recording explains much of what is left: no law within one can."""
     found = changes.found if changes is not None else ()
-    return any(f.kind in ("drift_over", "step_over") and f.removed_share > MUCH for f in found)
-
-
-@dataclass(frozen=True, eq=False)
-class WindowTimes:
-    """Windows in the order of the recordings: their episode, start in it [s], and place in fit and held-out ones."""
-
-    episode: np.ndarray
-    time: np.ndarray
-    order: np.ndarray
+    return any(f.kind in ("drift_over", "step_over") and f.removed_share > MOST_OF_REST for f in found)
 
 
 def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
@@ -169,113 +165,104 @@ def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
     return WindowTimes(episode[order], time[order], order)
 
 
-def stretches_of(at: WindowTimes) -> np.ndarray:
-    """Number of the stretch that each window is in: an episode, or as large a part of one as makes enough of them."""
-    parts = next((k for k in (1, 2, 4) if k * len(np.unique(at.episode)) >= FEWEST_CLUSTERS), 4)
-    out = np.zeros(len(at.episode), int)
-    for n, e in enumerate(np.unique(at.episode)):
-        rows = np.flatnonzero(at.episode == e)
-        out[rows] = parts * n + np.arange(len(rows)) * parts // len(rows)
+def all_windows(context: SearchContext, state: SearchState, effects: Effects, order: np.ndarray) -> np.ndarray:
+    """Whitened residuals of fitted and held-out windows in order, (n, rows)."""
+    splits = (state.windows.fit, state.windows.held_out)
+    return np.concatenate([context.whitened(split, effects) for split in splits])[order]
+
+
+def accepted_parameters(
+    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
+) -> list[ParameterInTime]:
+    """Those parameters of accepted effects that say how strong they are."""
+    out = []
+    for n, a in enumerate(state.accepted):
+        for k in range(a.candidate.strength or a.candidate.size):
+            x = [e.copy() for e in state.estimates]
+            x[n][k] += (h := small_step(a.candidate, a.x, k))
+            moved = all_windows(context, state, state.with_estimates(x).effects, order)
+            out.append(ParameterInTime(a.candidate, k, float(a.x[k]), (moved - z) / h, a))
     return out
 
 
-def residual_slopes_of(context: SearchContext, state: SearchState, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residuals of all windows in order, (n, rows), and their slopes by every parameter, (n, rows, p)."""
-    splits = (state.windows.fit, state.windows.held_out)
-
-    def all_windows(s: SearchState) -> np.ndarray:
-        return np.concatenate([context.whitened(split, s.effects) for split in splits])[order]
-
-    z, slopes = all_windows(state), []
-    for n, a in enumerate(state.accepted):
-        for k in range(a.candidate.size):
-            h = 0.05 * a.candidate.scale[k]
-            h = -h if a.x[k] + h > a.candidate.bounds()[1][k] else h
-            x = [e.copy() for e in state.estimates]
-            x[n][k] += h
-            slopes.append((all_windows(state.with_estimates(x)) - z) / h)
-    return z, np.stack(slopes, -1)
+def other_candidates(
+    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
+) -> list[ParameterInTime]:
+    """The first parameter of every candidate that is not accepted: at its nominal value."""
+    known, out = {a.candidate.label for a in state.accepted}, []
+    for c in context.candidates:
+        if c.label in known or issubclass(c.kind, SensingEffect | ExternalForce):
+            continue
+        x = np.array(c.nominal, float)
+        x[0] += (h := small_step(c, x, 0))
+        slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - z) / h
+        if np.linalg.norm(slopes) * c.scale[0] > 1.0:
+            out.append(ParameterInTime(c, 0, float(c.nominal[0]), slopes, None))
+    return out
 
 
-def scores_of(z: np.ndarray, J: np.ndarray, i: int, clusters: np.ndarray) -> WindowScores:
-    """Scores of parameter ``i``, the other parameters and its own best constant value fitted."""
-    root = np.sqrt(huber_weights(z))[..., None]
-    weighted, left = (root * J).reshape(-1, J.shape[-1]), (root[..., 0] * z).ravel()
-    left = left - weighted @ np.linalg.lstsq(weighted, left, rcond=1e-10)[0]
-    others = np.delete(weighted, i, 1)
-    own = weighted[:, i]
-    own = own - others @ np.linalg.lstsq(others, own, rcond=1e-10)[0] if others.size else own
-    score = (own * left).reshape(len(z), -1).sum(1)
-    information = np.square(own).reshape(len(z), -1).sum(1) + 1e-12
-    by_cluster = np.array([[x[clusters == c].sum() for x in (score, information)] for c in np.unique(clusters)])
-    return WindowScores(
-        score, information, max(1.0, float(np.median(by_cluster[:, 0] ** 2 / by_cluster[:, 1]) / 0.455))
-    )
-
-
-def time_shapes(context: SearchContext, at: WindowTimes) -> Iterator[TimeShape]:
-    """Functions of time that a parameter may follow."""
-    longest, n = float(at.time.max()), len(at.time)
-    order = np.arange(n)
-    yield TimeShape("drift_within", at.time, np.nan, -1, 1)
-    for share in (0.1, 0.25, 0.6):
-        yield TimeShape("decay_within", np.exp(-at.time / (share * longest)), share * longest, -1, 2)
-    for share in (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
-        yield TimeShape("step_within", (at.time > share * longest).astype(float), share * longest, -1, 2)
-    if len(np.unique(at.episode)) > 3:
-        yield TimeShape("drift_over", at.episode.astype(float), np.nan, -1, 1)
-    for k in np.unique(np.linspace(0.1 * n, 0.9 * n, 33).astype(int)):
-        yield TimeShape("step_over", (order >= k).astype(float), float(at.time[k]), int(at.episode[k]), 2)
-
-
-def gains(scores: np.ndarray, information: np.ndarray, shapes: Sequence[TimeShape]) -> np.ndarray:
-    """What each shape explains beyond a constant: (draws, n) scores to (draws, shapes)."""
-    F = np.stack([s.f - (information @ s.f) / information.sum() for s in shapes], 1)
-    return np.square(scores @ F) / (information @ np.square(F))
-
-
-def test_constancy(
-    parameters: Sequence[WindowScores], shapes: Sequence[TimeShape], clusters: np.ndarray, seed: int
-) -> tuple[list[TimeShape], list[float]]:
-    """The best shape for each parameter by BIC, and how likely any constant one would look as changing as that."""
-    rng, numbers = np.random.default_rng(seed), np.unique(clusters)
-    signs = rng.choice((-1.0, 1.0), (DRAWS, len(numbers)))[:, np.searchsorted(numbers, clusters)]
-    cost = np.log(len(numbers)) * np.array([s.cost for s in shapes])
-    merit = [gains(w.score[None], w.information, shapes)[0] / w.dispersion - cost for w in parameters]
-    chance = np.max(
-        [(gains(signs * w.score, w.information, shapes) / w.dispersion - cost).max(1) for w in parameters], axis=0
-    )
-    p = [float(1 + np.sum(chance >= m.max() - 1e-9)) / (DRAWS + 1) for m in merit]
-    return [shapes[int(np.argmax(m))] for m in merit], p
+def small_step(c: Candidate, x: np.ndarray, k: int) -> float:
+    """A step of a parameter for a slope, inside its bounds."""
+    h = 0.05 * c.scale[k]
+    return -h if x[k] + h > c.bounds()[1][k] else h
 
 
 def describe(
-    context: SearchContext,
-    at: WindowTimes,
-    w: WindowScores,
-    s: TimeShape,
-    a: AcceptedEffect,
-    k: int,
-    p: float,
-    z: np.ndarray,
-) -> ChangeFinding | None:
+    context: SearchContext, state: SearchState, at: WindowTimes, w: WindowScores, s: TimeShape, t: ParameterInTime,
+    p: float, z: np.ndarray,
+) -> ChangeFinding | None:  # fmt: skip
     """A change in numbers; None where it is too small to matter."""
-    c, value = a.candidate, float(a.x[k])
+    c, k, value = t.candidate, t.k, t.value + w.constant
     f = s.f - (w.information @ s.f) / w.information.sum()
     slope = -float(w.score @ f) / float(w.information @ np.square(f))
     ends = value + slope * (f[[np.argmin(at.time), np.argmax(at.time)]] if "within" in s.kind else f[[0, -1]])
-    size = max(abs(value), abs(value - c.nominal[k]), c.scale[k])
-    if abs(ends[1] - ends[0]) < LEAST_CHANGE * size:
+    if "step" in s.kind:
+        ends = np.array([refitted(context, state, t, at, s.f == side, e) for side, e in zip((0, 1), ends, strict=True)])
+    low, high = (float(b[k]) for b in c.bounds())
+    ends = np.clip(ends, low, high)
+    if abs(ends[1] - ends[0]) < LEAST_CHANGE * max(abs(value), abs(value - c.nominal[k]), c.scale[k]):
         return None
     removable = max(float(np.minimum(np.square(z), 36).sum()) - z.size, 1e-9)
     gain = float(np.square(w.score @ f) / (w.information @ np.square(f)))
-    low, high = (float(b[k]) for b in c.bounds())
-    first, last = (float(f"{np.clip(e, low, high):.4g}") for e in ends)
+    gain += w.constant**2 * float(w.information.sum()) * (t.accepted is None)
+    first, last = (float(f"{e:.4g}") for e in ends)
     return ChangeFinding(
-        c.kind.name, c.target, c.names[k], unit_at(context.sim.model, c.target, c.units()[k]), s.kind, first, last,
-        None if np.isnan(s.at) else round(s.at, 4), None if s.episode < 0 else s.episode, p,
-        round(min(gain / removable, 1.0), 4), series_of(at, w, s, value),
-    )  # fmt: skip
+        effect=c.kind.name,
+        target=c.target,
+        parameter=c.names[k],
+        unit=unit_at(context.sim.model, c.target, c.units()[k]),
+        kind=s.kind,
+        first=first,
+        last=last,
+        at=None if np.isnan(s.at) else round(s.at, 4),
+        episode=None if s.episode < 0 else s.episode,
+        p=p,
+        removed_share=round(min(gain / removable, 1.0), 4),
+        series=series_of(at, w, s, value),
+    )
+
+
+def refitted(
+    context: SearchContext, state: SearchState, t: ParameterInTime, at: WindowTimes, rows: np.ndarray, guess: float
+) -> float:
+    """The parameter by simulation of some of the fitted windows alone, the other effects as they are."""
+    split = state.windows.fit
+    chosen = np.sort(at.order[rows & (at.order < len(split.windows))])
+    if len(chosen) < 5:
+        return guess
+    rest = state if t.accepted is None else state.without(t.accepted)
+    x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
+    one = alone(t.candidate, t.k, x)
+    return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
+
+
+def alone(c: Candidate, k: int, x: np.ndarray) -> Candidate:
+    """A candidate with one free parameter, the others as in x."""
+    held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(c.names, x, strict=True)) if i != k)
+    span = None if c.span is None else (c.span[k],)
+    names, nominal, scale = (c.names[k],), (c.nominal[k],), (c.scale[k],)
+    fixed = (*c.fixed, *held)
+    return replace(c, names=names, nominal=nominal, scale=scale, span=span, fixed=fixed, starts=(), strength=None)
 
 
 def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> list[tuple[float, float, float]]:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from idapt_pl.diagnosis.law_terms import JointSizes, Term
 from idapt_pl.diagnosis.screening import ScoreTest
 
-TRIALS = 60
+REFINEMENT_TRIALS = 60
 """Values of the inner parameters that a refinement tries."""
 
 FLAT = 1e-6
@@ -87,7 +87,7 @@ class JointForecasts:
 
         first = np.diag(0.3 * np.abs(inner) + 1e-6)
         simplex = np.clip(np.concatenate([inner[None], inner + first]), *np.array(bounds).T)
-        options = {"maxfev": TRIALS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0.5}
+        options = {"maxfev": REFINEMENT_TRIALS, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 0.5}
         minimize(lost, inner, method="Nelder-Mead", bounds=bounds, options=options)
         return best
 

@@ -10,7 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.data import Recording, Windows
 from idapt_pl.effects.acting import ActingForces, MotionNow
 from idapt_pl.effects.base import Effect
-from idapt_pl.effects.learned import Signals
+from idapt_pl.effects.learned import JointSignals
 
 
 class LawsInWindows:
@@ -32,7 +32,7 @@ class LawsInWindows:
         if self.acting.memories:
             past = remembered(self.acting, data)
             self.memory = past[windows.episode, windows.start]
-        self.before: list[Signals] = []
+        self.before: list[JointSignals] = []
         self.time = np.zeros(len(windows))
 
     def forces(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
@@ -61,7 +61,7 @@ def remembered(acting: ActingForces, data: Sequence[Recording]) -> np.ndarray:
     )
     out = np.zeros((len(data), samples, acting.memories))
     rest = np.zeros((len(data), acting.model.na))
-    before: list[Signals] = []
+    before: list[JointSignals] = []
     loaded, acting.loaded = acting.loaded, False  # nothing remembers loads
     for k in range(samples):
         now = acting.signals(MotionNow(qpos[:, k], qvel[:, k], actions[:, k], rest, time[:, k]))

@@ -26,7 +26,7 @@ SINGLES, FIRST, SECOND = 8, 4, 3
 COST = 3.0
 """Score that a parameter must be worth, in a ranking of proposals."""
 
-MUCH = 0.2
+WORTH_A_LOOK = 0.2
 """Share of the best joint's score that another joint must come to, to be looked at closely."""
 
 
@@ -56,7 +56,7 @@ def propose_laws(forecasts: Sequence[JointForecasts], most: int) -> list[Proposa
     tops = [f.score(s[0]) if s else 0.0 for f, s in zip(forecasts, singles, strict=True)]
     found: list[Proposal] = []
     for f, ranked, top in zip(forecasts, singles, tops, strict=True):
-        if ranked and top > MUCH * max(tops):
+        if ranked and top > WORTH_A_LOOK * max(tops):
             refined = [f.refined(at, partial(spans, f.sizes)) for at in ranked[:SINGLES]]
             pairs = [f.refined(at, partial(spans, f.sizes)) for at in best_pairs(f, by_merit(f, refined)[:FIRST])]
             found += [proposal(f, at) for at in (*refined, *pairs)]

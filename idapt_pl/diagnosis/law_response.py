@@ -13,7 +13,7 @@ from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.diagnosis.whitening import WhitenedWindows, whiten
 from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
 from idapt_pl.effects.expression import parse_expression
-from idapt_pl.effects.learned import LearnedForce, Signals
+from idapt_pl.effects.learned import JointSignals, LearnedForce
 
 PUSH = 0.1
 """Size of the trial force, in units of what would stop a joint within a forecast."""
@@ -47,7 +47,7 @@ def force_response(
 
 @dataclass(frozen=True)
 class WindowSignals:
-    """Signals of a joint in every control step of windows, from what was measured.
+    """JointSignals of a joint in every control step of windows, from what was measured.
 
     Attributes:
         joint: its number.
@@ -55,11 +55,11 @@ class WindowSignals:
     """
 
     joint: int
-    now: Signals
+    now: JointSignals
 
 
 def measured_signals_of(context: SearchContext, windows: Windows, joints: list[int]) -> list[WindowSignals]:
-    """Signals of some joints, in the middle of each control step: the mean of the samples before and after."""
+    """JointSignals of some joints, in the middle of each control step: the mean of the samples before and after."""
     sim, m, steps = context.sim, context.sim.model, context.steps
     at = windows.start[:, None] + np.arange(steps + 1)
     take = lambda name: np.stack([getattr(sim.data[e], name)[k] for e, k in zip(windows.episode, at, strict=True)])  # noqa: E731

@@ -11,7 +11,7 @@ import numpy as np
 
 from idapt_pl.effects.base import ACTUATED, Effect
 from idapt_pl.effects.joints import PLAY_SUFFIX
-from idapt_pl.effects.learned import SignalForce, Signals
+from idapt_pl.effects.learned import JointSignals, SignalForce
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ActingForces:
         self.driven = not pairs or any("motor" in e.signals for e, _ in pairs)
         self.loaded = any(e.signals & {"motor", "load"} for e, _ in pairs)
 
-    def signals(self, now: MotionNow) -> list[Signals]:
+    def signals(self, now: MotionNow) -> list[JointSignals]:
         """What each law on each joint sees."""
         motor, load = self.loads(now) if self.loaded else (None, None)
         return [joint_signals(self.model, j, now, motor, load) for _, j in self.pairs]
@@ -74,7 +74,7 @@ class ActingForces:
         return motor, load
 
     def remember(
-        self, before: list[Signals], now: list[Signals], memory: np.ndarray, seconds: float | np.ndarray
+        self, before: list[JointSignals], now: list[JointSignals], memory: np.ndarray, seconds: float | np.ndarray
     ) -> np.ndarray:
         """The memory of all laws after a step, (n, memories)."""
         if not self.memories:
@@ -82,7 +82,7 @@ class ActingForces:
         parts = zip(self.pairs, before, now, self.split(memory), strict=True)
         return np.concatenate([e.remember(b, a, m, seconds) for (e, _), b, a, m in parts], -1)
 
-    def forces(self, signals: list[Signals], memory: np.ndarray) -> np.ndarray:
+    def forces(self, signals: list[JointSignals], memory: np.ndarray) -> np.ndarray:
         """What the laws add, (n, nv)."""
         out = np.zeros((len(memory), self.model.nv))
         for (effect, j), seen, own in zip(self.pairs, signals, self.split(memory), strict=True):
@@ -104,7 +104,7 @@ def joints_meant(model: mujoco.MjModel, target: str) -> list[int]:
 
 def joint_signals(
     model: mujoco.MjModel, joint: int, now: MotionNow, motor: np.ndarray | None, load: np.ndarray | None
-) -> Signals:
+) -> JointSignals:
     """What a law on a joint may see; ``motor`` and ``load`` (n, nv) where they were computed."""
     q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     seen = {"q": now.qpos[:, q], "v": now.qvel[:, v], "t": now.time}
@@ -154,7 +154,7 @@ class _InOneSimulation:
     def __init__(self, model: mujoco.MjModel, laws: tuple[Effect, ...]) -> None:
         self.model, self.acting = model, ActingForces(model, laws)
         self.time = np.inf
-        self.before: list[Signals] = []
+        self.before: list[JointSignals] = []
         self.memory = np.zeros((1, self.acting.memories))
 
     def step(self, data: mujoco.MjData) -> None:

@@ -72,17 +72,17 @@ class Expression:
         """What it comes to, no number and infinity as 0; ``memory``: states, (..., memories)."""
         with np.errstate(all="ignore"):
             states = [memory[..., i] for i in range(len(self.memories))]
-            result = evaluate(self.tree, values, states, self.memories)
+            result = value_of(self.tree, values, states, self.memories)
         return np.where(np.abs(result) < 1e12, result, 0.0)
 
     def step(self, before: Values, now: Values, memory: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
         """The states after signals went from one value to the next in so many seconds, (..., memories)."""
         after = memory.copy()
         for i, call in enumerate(self.memories):
-            x = evaluate(call.args[-1], before, [], ())
+            x = value_of(call.args[-1], before, [], ())
             if call_name(call) == "lowpass":
                 with np.errstate(all="ignore"):
-                    reached = np.nan_to_num(evaluate(call.args[0], before, [], ()), posinf=0.0, neginf=0.0)
+                    reached = np.nan_to_num(value_of(call.args[0], before, [], ()), posinf=0.0, neginf=0.0)
                 share = -np.expm1(-seconds / np.maximum(x, 1e-9))
                 after[..., i] += share * (reached - memory[..., i])
             else:
@@ -156,7 +156,7 @@ def constant(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) or (isinstance(node, ast.Name) and node.id in COEFFICIENTS)
 
 
-def evaluate(
+def value_of(
     node: ast.expr, values: Values, memory: Sequence[np.ndarray], memories: tuple[ast.Call, ...]
 ) -> np.ndarray:
     """What a checked node comes to."""
@@ -166,14 +166,14 @@ def evaluate(
         case ast.Name(id=name):
             return np.asarray(values[name], float)
         case ast.UnaryOp(op=op, operand=operand):
-            inner = evaluate(operand, values, memory, memories)
+            inner = value_of(operand, values, memory, memories)
             return -inner if isinstance(op, ast.USub) else inner
         case ast.BinOp(left=left, op=op, right=right):
-            return combine(op, evaluate(left, values, memory, memories), evaluate(right, values, memory, memories))
+            return combine(op, value_of(left, values, memory, memories), value_of(right, values, memory, memories))
         case ast.Call() if node in memories:
             return memory[memories.index(node)]
         case ast.Call(args=[argument]):
-            return FUNCTIONS[call_name(node)](evaluate(argument, values, memory, memories))
+            return FUNCTIONS[call_name(node)](value_of(argument, values, memory, memories))
     raise AssertionError(f"a checked formula has no {ast.dump(node)}")
 
 

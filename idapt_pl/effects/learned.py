@@ -7,14 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import parameter
+from idapt_pl.effects.base import find_joints, parameter
 from idapt_pl.effects.expression import COEFFICIENTS, SIGNALS, Expression, parse_expression
 from idapt_pl.effects.runtime import ForceEffect
 
-Signals = Mapping[str, np.ndarray]
-"""Signals of a joint by name (:data:`~idapt_pl.effects.expression.SIGNALS`), (n,) each."""
+JointSignals = Mapping[str, np.ndarray]
+"""JointSignals of a joint by name (:data:`~idapt_pl.effects.expression.SIGNALS`), (n,) each."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,20 @@ class SignalForce(ForceEffect):
         return 0
 
     @abstractmethod
-    def force_from(self, signals: Signals, memory: np.ndarray) -> np.ndarray:
+    def force_from(self, signals: JointSignals, memory: np.ndarray) -> np.ndarray:
         """Force on the joint, (n,); ``memory``: (n, memories)."""
 
-    def remember(self, before: Signals, now: Signals, memory: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
+    def remember(
+        self, before: JointSignals, now: JointSignals, memory: np.ndarray, seconds: float | np.ndarray
+    ) -> np.ndarray:
         """The memory after signals went from one value to the next in so many seconds, (n, memories)."""
         return memory
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        driven = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+        idle = [j.name for j in find_joints(spec, self.target) if j.name not in driven]
+        if idle and self.signals & {"u"}:
+            raise ValueError(f"{self.name} on {self.target!r} depends on u, but no actuator acts on joint {idle[0]!r}")
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         raise TypeError(f"{self.name} needs more than positions and velocities: use force_from")
@@ -92,11 +101,13 @@ class LearnedForce(SignalForce):
         """Values of the coefficients by name."""
         return {k: np.asarray(getattr(self, k), float) for k in self.parsed.coefficients}
 
-    def force_from(self, signals: Signals, memory: np.ndarray) -> np.ndarray:
+    def force_from(self, signals: JointSignals, memory: np.ndarray) -> np.ndarray:
         value = self.parsed.value({**signals, **self.coefficients}, memory)
         return np.broadcast_to(value, memory.shape[:-1])
 
-    def remember(self, before: Signals, now: Signals, memory: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
+    def remember(
+        self, before: JointSignals, now: JointSignals, memory: np.ndarray, seconds: float | np.ndarray
+    ) -> np.ndarray:
         return self.parsed.step({**before, **self.coefficients}, {**now, **self.coefficients}, memory, seconds)
 
 
@@ -151,11 +162,13 @@ class ResidualNetwork(SignalForce):
     def memories(self) -> int:
         return len(self.remembered)
 
-    def remember(self, before: Signals, now: Signals, memory: np.ndarray, seconds: float | np.ndarray) -> np.ndarray:
+    def remember(
+        self, before: JointSignals, now: JointSignals, memory: np.ndarray, seconds: float | np.ndarray
+    ) -> np.ndarray:
         parts = [e.step(before, now, memory[..., i : i + 1], seconds) for i, e in enumerate(self.remembered)]
         return np.concatenate(parts, -1) if parts else memory
 
-    def force_from(self, signals: Signals, memory: np.ndarray) -> np.ndarray:
+    def force_from(self, signals: JointSignals, memory: np.ndarray) -> np.ndarray:
         columns, k = [], 0
         for x in self.inputs.split():
             columns.append(memory[..., k] if x in MEMORY_INPUTS else signals[x])

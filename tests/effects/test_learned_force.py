@@ -128,3 +128,11 @@ def test_a_network_has_as_many_weights_as_it_needs_and_stays_in_its_spans():
     assert far[0] == far[1]
     with pytest.raises(ValueError, match="fit no network"):
         ResidualNetwork("axis", "q v", spans, weights[:-1], 3.0)
+
+
+def test_a_law_of_commands_needs_an_actuator_on_its_joint():
+    idle = PENDULUM.replace('<motor name="axis" joint="axis" gear="2"/>', "")
+    with pytest.raises(ValueError, match="depends on u, but no actuator acts on joint 'axis'"):
+        LearnedForce("axis", "a*u", a=1.0).apply(mujoco.MjSpec.from_string(idle))
+    with pytest.raises(ValueError, match="the model has no joint named 'knee'; it has: axis"):
+        LearnedForce("knee", "a*v", a=1.0).apply(mujoco.MjSpec.from_string(PENDULUM))
