@@ -18,19 +18,21 @@ class LawsInWindows:
 
     Args:
         model: that is simulated.
+        recorded: whose coordinates the recordings have; the same, but for play in joints.
         effects: of which those with laws count.
         data: the recordings.
         windows: that begin now.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, effects: Sequence[Effect], data: Sequence[Recording], windows: Windows
-    ) -> None:
+        self, model: mujoco.MjModel, recorded: mujoco.MjModel, effects: Sequence[Effect], data: Sequence[Recording],
+        windows: Windows,
+    ) -> None:  # fmt: skip
         self.model, self.acting = model, ActingForces(model, effects)
         self.began = np.array([data[e].time[0] for e in windows.episode])
         self.memory = np.zeros((len(windows), 0))
         if self.acting.memories:
-            past = remembered(self.acting, data)
+            past = remembered(ActingForces(recorded, effects), data)
             self.memory = past[windows.episode, windows.start]
         self.before: list[JointSignals] = []
         self.time = np.zeros(len(windows))

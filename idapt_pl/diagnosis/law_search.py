@@ -110,7 +110,10 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
 
     None where too little is left to look for, or nothing could have a law.
     """
-    if not explains_too_little(context, state):
+    plays = (
+        context.sim.compile(state.effects).nv > context.sim.model.nv
+    )  # where in its play a joint is, nothing measures
+    if plays or not explains_too_little(context, state):
         return None
     context.progress("where is the rest?", 0.91)
     forecasts = joint_forecasts(context, state)

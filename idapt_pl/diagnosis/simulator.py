@@ -254,7 +254,7 @@ class Simulator:
             spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
             states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        laws = LawsInWindows(model, forces, self.data, windows)
+        laws = LawsInWindows(model, self.model, forces, self.data, windows)
         hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
         states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):
