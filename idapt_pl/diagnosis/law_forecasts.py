@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from idapt_pl.diagnosis.law_terms import JointSizes, Term
 from idapt_pl.diagnosis.screening import ScoreTest
 
-REFINEMENT_TRIALS = 60
+REFINEMENT_TRIALS = 40
 """Values of the inner parameters that a refinement tries."""
 
 FLAT = 1e-6

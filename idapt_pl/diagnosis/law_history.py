@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.data import Recording, Windows
-from idapt_pl.effects.acting import ActingForces, MotionNow
+from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.learned import JointSignals
 
@@ -61,14 +61,16 @@ def remembered(acting: ActingForces, data: Sequence[Recording]) -> np.ndarray:
         np.stack([x[np.minimum(np.arange(samples), len(x) - 1)] for x in each])
         for each in zip(*((r.time - r.time[0], r.qpos, r.qvel, r.actions) for r in data), strict=True)
     )
+    rows = len(data) * samples
+    q, v, u = (x.reshape(rows, x.shape[-1]) for x in (qpos, qvel, actions))
+    all_samples = MotionNow(q, v, u, np.zeros((rows, acting.model.na)), time.ravel())
+    every = [joint_signals(acting.model, j, all_samples, None, None) for _, j in acting.pairs]
+    seen = [{name: x.reshape(len(data), samples) for name, x in signals.items()} for signals in every]
     out = np.zeros((len(data), samples, acting.memories))
-    rest = np.zeros((len(data), acting.model.na))
     before: list[JointSignals] = []
-    loaded, acting.loaded = acting.loaded, False  # nothing remembers loads
     for k in range(samples):
-        now = acting.signals(MotionNow(qpos[:, k], qvel[:, k], actions[:, k], rest, time[:, k]))
+        now = [{name: x[:, k] for name, x in signals.items()} for signals in seen]
         if k:
             out[:, k] = acting.remember(before, now, out[:, k - 1], time[:, k] - time[:, k - 1])
         before = now
-    acting.loaded = loaded
     return out

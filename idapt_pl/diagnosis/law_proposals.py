@@ -20,7 +20,7 @@ from idapt_pl.effects.candidate import mechanical_joints
 from idapt_pl.effects.expression import COEFFICIENTS
 from idapt_pl.estimation.least_squares import project_out
 
-SINGLES, FIRST, SECOND = 8, 4, 3
+SINGLES, FIRST, SECOND = 6, 3, 3
 """Shapes of one term that are refined on a joint; those of them that a second term is sought for; how many each."""
 
 COST = 3.0
