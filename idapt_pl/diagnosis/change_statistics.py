@@ -59,7 +59,7 @@ class WindowScores:
         score: d loss / d parameter, (n,); the best constant change taken out.
         information: (n,).
         constant: by how much the best constant value is above the one that the scores were taken at.
-        dispersion: by how much stretches differ more than noise would make them, at least 1.
+        dispersion: by how much stretches differ more than noise would make them, at least 1; for intervals.
     """
 
     score: np.ndarray
@@ -108,22 +108,31 @@ def time_shapes(at: WindowTimes) -> Iterator[TimeShape]:
         yield TimeShape("step_over", (order >= k).astype(float), float(at.time[k]), int(at.episode[k]), 2)
 
 
-def gains(scores: np.ndarray, information: np.ndarray, shapes: Sequence[TimeShape]) -> np.ndarray:
-    """What each shape explains beyond a constant: (draws, n) scores to (draws, shapes)."""
-    F = np.stack([s.f - (information @ s.f) / information.sum() for s in shapes], 1)
-    return np.square(scores @ F) / (information @ np.square(F))
+def merits(w: WindowScores, shapes: Sequence[TimeShape], clusters: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Gain of each shape in log likelihood (twice, by BIC) over a constant, (draws, shapes).
+
+    Args:
+        w: scores of a parameter.
+        shapes: to try.
+        clusters: number of each window's stretch, (n,), from 0 on.
+        signs: of the stretches, (draws, stretches).
+    """
+    n, total = len(w.score), float(w.information.sum())
+    F = np.stack([s.f - (w.information @ s.f) / total for s in shapes], 1)
+    by_cluster = np.zeros((signs.shape[1], len(shapes)))
+    np.add.at(by_cluster, clusters, w.score[:, None] * F)
+    gain = np.square(signs @ by_cluster) / (w.information @ np.square(F))
+    explained = np.clip(gain / (np.square(w.score) / w.information).sum(), 0.0, 1 - 1e-9)
+    return -n * np.log1p(-explained) - np.log(n) * np.array([s.cost for s in shapes])
 
 
 def constancy_test(
     parameters: Sequence[WindowScores], shapes: Sequence[TimeShape], clusters: np.ndarray, seed: int
 ) -> tuple[list[TimeShape], list[float]]:
     """The best shape for each parameter by BIC, and how likely any constant one would look as changing as that."""
-    rng, numbers = np.random.default_rng(seed), np.unique(clusters)
-    signs = rng.choice((-1.0, 1.0), (DRAWS, len(numbers)))[:, np.searchsorted(numbers, clusters)]
-    cost = np.log(len(numbers)) * np.array([s.cost for s in shapes])
-    merit = [gains(w.score[None], w.information, shapes)[0] / w.dispersion - cost for w in parameters]
-    chance = np.max(
-        [(gains(signs * w.score, w.information, shapes) / w.dispersion - cost).max(1) for w in parameters], axis=0
-    )
-    p = [float(1 + np.sum(chance >= m.max() - 1e-9)) / (DRAWS + 1) for m in merit]
-    return [shapes[int(np.argmax(m))] for m in merit], p
+    numbers, at = np.unique(clusters, return_inverse=True)
+    signs = np.random.default_rng(seed).choice((-1.0, 1.0), (DRAWS, len(numbers)))
+    found = [merits(w, shapes, at, np.ones((1, len(numbers))))[0] for w in parameters]
+    chance = np.max([merits(w, shapes, at, signs).max(1) for w in parameters], axis=0)
+    p = [float(1 + np.sum(chance >= m.max() - 1e-9)) / (DRAWS + 1) for m in found]
+    return [shapes[int(np.argmax(m))] for m in found], p
