@@ -77,8 +77,8 @@ def sag(true: mujoco.MjModel, episode: int, time: float) -> None:
 
 
 def wear(true: mujoco.MjModel, episode: int, time: float) -> None:
-    """Damping grows from one episode to the next."""
-    true.dof_damping[true.joint("axis").dofadr[0]] = 0.05 + 0.03 * episode
+    """Damping of the elbow grows from one episode to the next."""
+    true.dof_damping[true.joint("elbow").dofadr[0]] = 0.04 + 0.015 * (episode + time / 2)
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,10 @@ CASES = {
         "drift_over",
     ),
     "bearing_wears": _case(
-        "pendulum", lambda: changing("joint_damping", "axis", wear, "pendulum"), "joint_damping@axis", "drift_over"
+        "two_link",
+        lambda: changing("joint_damping", "elbow", wear, "two_link"),
+        "joint_damping@elbow",
+        "drift_over",
     ),
     "constant_damping": _case("pendulum", lambda: hidden.joint_damping("axis", 0.15)),
     "constant_dry_friction": _case("pendulum", lambda: hidden.joint_frictionloss("axis", 0.15)),
