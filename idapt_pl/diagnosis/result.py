@@ -8,10 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from idapt_pl.diagnosis.explanation import Explanation, Measurement
 from idapt_pl.effects.base import Effect
+
+if TYPE_CHECKING:
+    from idapt_pl.diagnosis.changes import ChangeReport
+    from idapt_pl.diagnosis.law_result import LawReport
 
 
 class Verdict(StrEnum):
@@ -265,6 +269,8 @@ class DiagnosisResult:
         runtime_s: how long it took.
         explanations: what was found, then all that does as well; empty where nothing was found.
         measurement: how the recordings were measured.
+        laws: what a search for laws came to; None where none was made.
+        changes: whether effects stay the same throughout; None where that was not tested.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -279,6 +285,8 @@ class DiagnosisResult:
     runtime_s: float = 0.0
     explanations: Sequence[Explanation] = ()
     measurement: Measurement | None = None
+    laws: LawReport | None = None
+    changes: ChangeReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -294,4 +302,5 @@ class DiagnosisResult:
             "runtime_s": self.runtime_s,
             "explanations": [e.to_dict() for e in self.explanations],
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
+            **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
         }

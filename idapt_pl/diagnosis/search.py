@@ -10,8 +10,10 @@ import mujoco
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.acceptance import accept, confirm
+from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.laws import add_laws
 from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
@@ -72,6 +74,7 @@ def diagnose(
     threads: int | None = None,
     unmeasured: Sequence[str] = (),
     noise: Noise | None = None,
+    laws: bool = True,
 ) -> Diagnosis:
     """Which physical effects does the model lack, by the recordings?
 
@@ -90,6 +93,7 @@ def diagnose(
             must not depend on where they are, only on how fast they move. Or ``"<joint> velocity"``, with which
             windows only begin.
         noise: of the sensors, where it is known; default is to estimate it from the recordings.
+        laws: where much stays unexplained, look for a law of force (:mod:`~idapt_pl.diagnosis.law_search`).
 
     Raises:
         UnusableData: the recordings do not fit the model.
@@ -102,6 +106,10 @@ def diagnose(
     state, trials = run_search(context, state)
     progress("judging", 0.95)
     result = summarise_search(context, state, trials)
+    changes = find_changes(context, state)
+    if laws and not changes_over_recordings(changes):
+        state, result = add_laws(context, state, trials, result)
+    result = replace(result, changes=changes)
     result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
     progress("done", 1.0)
     held_out = state.windows.held_out.windows

@@ -178,7 +178,7 @@ def diagnose_by_windows(
         return WindowDiagnosis.of(diagnose(
             source.spec(), equal_pieces(data, length), candidates=options.candidates, seed=seed,
             settings=SearchSettings(max_effects=most, numerics=False), unmeasured=readings.unmeasured,
-            noise=calibration.noise(model, task.unseen),
+            noise=calibration.noise(model, task.unseen), laws=False,
         ))  # fmt: skip
 
     control = diagnose_pieces(readings.control, options.max_effects)

@@ -31,6 +31,7 @@ from idapt_pl.effects.joints import (
     JointStiffness,
     JointStribeck,
 )
+from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
 from idapt_pl.effects.runtime import ForceEffect, SensingEffect
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorBias, SensorDelay, SensorGain
 from idapt_pl.effects.visual import (
@@ -99,6 +100,8 @@ EXAMPLES = [
     ActuatorDeadzone("push", 0.05),
     ExternalForce("block", x=1.0),
     JointCogging("hinge", 0.1),
+    LearnedForce("hinge", "-a*tanh(v/b)", a=0.1, b=0.2),
+    ResidualNetwork("hinge", "q", (1.0,), (1.0, 0.0, 0.5, 0.1), 2.0),
     JointStribeck("slide", 0.1, 0.2),
     SensorBias("hinge", 0.1),
     SensorDelay("*", 0.02),
