@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.replay import motion
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.diagnosis.screening import ScoreTest
 from idapt_pl.diagnosis.search_state import SearchState
 
 FLOOR, SLOPED_FLOOR = 1.6, 4.0
 """Loss up to which a model may be right; the other one where velocities are slopes of positions, which err more."""
+
+STILL = 5.0
+"""A channel that moves less within a window than so many standard deviations of its noise shows nothing."""
 
 UNPREDICTABLE = 4.0, 6.0
 """Loss of the typical window, and of one in four, from which even a remainder that nothing predicts is no noise."""
@@ -46,7 +50,14 @@ def removed_share(before: float, after: float) -> float:
 
 
 def too_quiet(context: SearchContext, state: SearchState) -> bool:
-    """Whether not even a change by half of what an actuator (or a body's mass) does would have been seen."""
+    """Whether not even a change by half of what an actuator (or a body's mass) does would have been seen.
+
+    Free bodies move alike whatever their mass: where none is driven, whether they move at all.
+    """
+    if not context.sim.model.nu:
+        windows, noise = state.windows.screen.windows, state.windows.noise.sensors
+        moved = np.sqrt(np.square(motion(context, windows)).mean((0, 1)))
+        return bool((moved < STILL * noise)[context.sim.compared].all())
     wanted = [c for c in context.candidates if c.kind.name == "actuator_gain" and c.target != "*"]
     wanted = wanted or [c for c in context.candidates if c.kind.name == "body_mass"]
     if not wanted:

@@ -86,7 +86,7 @@ def test_nothing_is_accepted_where_nothing_passed(state):
 def test_each_objection_has_its_reason(change, level, reason):
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     t = Trial(**{**vars(trial(DAMPING, 1.0)), **change})
-    rejection = objection(context, t, np.full(N, level))
+    rejection = objection(context, t, np.full(N, level), level)
     assert (rejection and rejection.reason) == reason
     assert rejection is None or rejection.text
 
@@ -94,11 +94,11 @@ def test_each_objection_has_its_reason(change, level, reason):
 def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
-    assert objection(context, at_end, np.full(N, 4.0)).reason is RejectionReason.BEYOND_SENSORS
+    assert objection(context, at_end, np.full(N, 4.0), 4.0).reason is RejectionReason.BEYOND_SENSORS
 
 
 def test_without_velocities_the_first_effect_must_be_large():
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=False))
     first, later = (trial(DAMPING, 1.0, round=k, gain=0.8) for k in (0, 1))
-    assert objection(context, first, np.full(N, 4.0)).reason is RejectionReason.SMALL_GAIN
-    assert objection(context, later, np.full(N, 4.0)) is None
+    assert objection(context, first, np.full(N, 4.0), 4.0).reason is RejectionReason.SMALL_GAIN
+    assert objection(context, later, np.full(N, 4.0), 4.0) is None
