@@ -93,8 +93,6 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
     because, level = RejectionReason, float(now.mean())
     if text := beyond_its_kind(t.candidate, t.x[-1]):
         return Rejection(because.BEYOND_SENSORS, text)
-    if text := why_implausible(t.candidate, t.x[-1]):
-        return Rejection(because.IMPLAUSIBLE, text)
     if t.gain - context.settings.sureness * t.gain_error <= 0:
         text = f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
         return Rejection(because.UNSURE_GAIN, text)
@@ -117,6 +115,8 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
         return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
         return Rejection(because.NOISE_FLOOR, "the typical window is at the noise floor already")
+    if text := why_implausible(t.candidate, t.x[-1]):
+        return Rejection(because.IMPLAUSIBLE, text)
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -91,10 +92,12 @@ def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate
     return in_order([c for kind in EFFECTS.values() for c in kind.candidates(model, typical)])
 
 
-def plausible_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:
-    """The same, each with what is plausible for it."""
-    machine = Machine(spec.copy().compile(), typical)
-    return [with_plausible_ends(c, machine) for c in all_candidates(spec, typical)]
+def in_plausible_ranges(
+    model: mujoco.MjModel, typical: TypicalSizes, candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """The candidates of a model, each with what is plausible for it."""
+    machine = Machine(model, typical)
+    return [with_plausible_ends(c, machine) for c in candidates]
 
 
 def in_order(candidates: list[Candidate]) -> list[Candidate]:

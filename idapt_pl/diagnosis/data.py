@@ -46,7 +46,7 @@ class Recording:
         qpos: measured positions, (T+1, nq).
         qvel: measured or estimated velocities, (T+1, nv).
         actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
-        impacts: whether something hit something between a sample and the next, (T,); None where nothing can touch.
+        impacts: whether something hit something between a sample and the next, (T,); None where it is not known.
     """
 
     name: str
@@ -201,11 +201,12 @@ def shift_positions(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> 
 
 
 def with_impacts(model: mujoco.MjModel, recordings: list[Recording]) -> list[Recording]:
-    """The recordings, with where things hit each other: where a velocity jumps between two samples.
+    """The recordings of free bodies, with where things hit each other: where a velocity jumps between two samples.
 
-    A jump is a change that neither the one before nor the one after has, and that is far beyond the usual.
+    A jump is a change that neither the one before nor the one after has, and that is far beyond the usual. A machine
+    with actuators touches things all the time, or moves in jerks anyway.
     """
-    if not touching_geoms(model):
+    if model.nu or not touching_geoms(model):
         return recordings
     jerks = [np.abs(np.diff(r.qvel, n=2, axis=0, prepend=r.qvel[:1])) for r in recordings]
     usual = np.median(np.concatenate(jerks), 0) + 1e-9

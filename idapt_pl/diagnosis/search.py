@@ -128,9 +128,10 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     nothing: Progression = (state, ())
     state, trials = forward_selection(nothing, add_effect, context.settings.max_effects)
     state = eliminate_needless(context, swap_for_rivals(context, state))
-    other = try_implausible(context, state, trials)
+    rounds = 1 + max((t.round for t in trials), default=0)
+    other, tried = try_implausible(context, state, rounds)
+    trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
-        rounds = 1 + max(t.round for t in trials)
         state = eliminate_needless(context, retest_numerics(context, other))
         left = context.settings.max_effects - len(state.accepted)
         state, trials = forward_selection((state, trials), lambda s, k: add_effect(s, rounds + 1 + k), left)

@@ -96,10 +96,10 @@ MEASURES: dict[str, Measure] = {
 
 FRICTION = "a joint that moves is not held by its own friction"
 COUNTERPARTS = "parts are drawn and weighed better than that: more is another part, or another model"
-WEIGHED = Plausible(0.3, 3.0, "of the model's", COUNTERPARTS)
+WEIGHED = Plausible(0.3, 3.2, "of the model's", COUNTERPARTS)
 CENTRE = Plausible(-1.0, 1.0, "of the body's reach", "a centre of mass lies within its body")
 DATASHEET = "data sheets, batteries and windings are off by tens of per cents, not by multiples"
-MOTOR = Plausible(0.3, 3.0, "of the model's", DATASHEET)
+MOTOR = Plausible(0.3, 3.2, "of the model's", DATASHEET)
 TILT = Plausible(-0.26, 0.26, "", "machines are set up by eye and stand within 15° of what was meant")
 PUSHED = Plausible(-0.5, 0.5, "of the weight", "cables and fans pull with a fraction of what the machine weighs")
 LATE = "buses and controllers take milliseconds to tens of them; 0.2 s would be a fault of the clocks"
