@@ -345,7 +345,7 @@ _add(
 )
 _add("toss_ball_bounce", BALL, hidden.contact_law("contact_softness", "damping_ratio", 0.12), numerics=SAME)
 _add("toss_ball_rolling", BALL, hidden.contact_law("contact_friction", "rolling", 0.004))
-_add("toss_ball_air", BALL, hidden.fluid("density", 1.2))
+_add("toss_ball_air", BALL, hidden.fluid("density", 1.2), noise=MODELS[BALL].noise.times(0.4))
 _add("control_toss_cube", CUBE)
 _add("control_toss_ball", BALL, numerics=SAME)
 
