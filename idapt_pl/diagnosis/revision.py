@@ -124,7 +124,10 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
 
 
 def keep_sure(context: SearchContext, state: SearchState) -> SearchState:
-    """Put intervals on the estimates, and leave out, one by one, what may as well be as the model has it."""
+    """Put intervals on the estimates, and leave out, one by one, what may as well be as the model has it.
+
+    What ended where no machine is says so.
+    """
     context.progress("measuring", 0.92)
     state = measure_intervals(context, state)
     while unsure := [a for a in state.accepted if a.unsure]:
@@ -132,4 +135,9 @@ def keep_sure(context: SearchContext, state: SearchState) -> SearchState:
         log.info("left out %s: its interval holds what the model has", least.candidate.label)
         rest = refit_accepted(context, renew(context, state.without(least)))
         state = measure_intervals(context, retest_numerics(context, rest))
-    return state
+    return replace(state, accepted=tuple(map(with_its_doubts, state.accepted)))
+
+
+def with_its_doubts(a: AcceptedEffect) -> AcceptedEffect:
+    """An effect that the last fits drove to the end of what is plausible, with the reason why it is named last."""
+    return replace(a, implausible=a.implausible or why_implausible(a.candidate, a.x))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.data import over_impacts
 from idapt_pl.diagnosis.replay import motion
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.diagnosis.screening import ScoreTest
@@ -23,7 +24,7 @@ UNPREDICTABLE = 4.0, 6.0
 def decide(
     context: SearchContext, state: SearchState, before: float, after: float, losses: np.ndarray, predictable: float
 ) -> Verdict:
-    """The verdict; a remainder counts only if it is typical of the windows, or of a quarter, or could be predicted.
+    """The verdict; a remainder counts if it is typical of the windows, of a quarter, of impacts, or could be predicted.
 
     Args:
         context: of the search.
@@ -35,6 +36,9 @@ def decide(
     """
     median, upper = np.quantile(losses, [0.5, 0.75])
     floor = FLOOR if context.sim.velocities else SLOPED_FLOOR
+    hit = over_impacts(context.sim.data, state.windows.held_out.windows)
+    if hit.any():  # impacts are few and short, and all that tells about them
+        upper = max(upper, float(np.median(losses[hit])))
     left_over = after**2 > floor and (median > 1.5 or upper > UNPREDICTABLE[1] or predictable > 0.25)
     if state.accepted:
         poor = removed_share(before, after) < 0.75 or predictable > 0.3 or median > 2.0 or upper > UNPREDICTABLE[1]

@@ -54,9 +54,10 @@ def test_a_ball_that_bounces_is_found_without_any_actuator():
         for _ in range(60):
             mujoco.mj_step(model, data, 2)
             q.append(data.qpos.copy()), v.append(data.qvel.copy())
-        noise = rng.normal(size=(61, 9))
+        noise = rng.normal(size=(61, 13))
         seen = {"qpos": np.array(q), "qvel": np.array(v) + 1e-2 * noise[:, :6]}
-        seen["qpos"][:, :3] += 5e-4 * noise[:, 6:]
+        seen["qpos"] += 5e-4 * noise[:, 6:]
+        seen["qpos"][:, 3:] /= np.linalg.norm(seen["qpos"][:, 3:], axis=1, keepdims=True)
         episodes.append(Episode(np.zeros((60, 0), np.float32), seen))
     nominal = mujoco.MjSpec.from_string(TOSS.format(damping=1))
     report = diagnose(

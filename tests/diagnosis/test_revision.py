@@ -8,7 +8,7 @@ import pytest
 
 from idapt_pl.diagnosis import revision
 from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_one, with_rival
+from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_one, with_its_doubts, with_rival
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.trial import Trial
@@ -122,3 +122,10 @@ def test_what_may_be_as_the_model_has_it_is_left_out_and_the_rest_measured_again
     assert names(kept) == ["joint_damping(a)"] and kept.accepted[0].interval.tolist() == [[0.4, 0.6]]
     nothing = keep_sure(context(lambda found: 1.0), accepted(B))
     assert nothing.accepted == ()
+
+
+def test_what_the_last_fit_drove_to_the_end_of_its_range_says_so():
+    inside = AcceptedEffect(0, replace(A, plausible=((0.0, 9.0),)), np.array([0.5]))
+    at_end = AcceptedEffect(0, replace(A, plausible=((0.0, 0.5),)), np.array([0.5]))
+    assert not with_its_doubts(inside).implausible
+    assert "damping above 0.5" in with_its_doubts(at_end).implausible

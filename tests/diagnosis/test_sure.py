@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis import replay
-from idapt_pl.diagnosis.data import Recording, Windows, choose_rows, with_impacts
+from idapt_pl.diagnosis.data import Recording, Windows, choose_rows, over_impacts, with_impacts
 from idapt_pl.diagnosis.last_resort import is_narrower
 from idapt_pl.diagnosis.search_state import AcceptedEffect
 from idapt_pl.effects.candidate import Candidate
@@ -91,6 +91,8 @@ def test_an_impact_is_a_jump_of_a_velocity():
     flight = Recording("toss", time, np.zeros((81, 7)), qvel, np.zeros((80, 0)))
     (seen,) = with_impacts(ball, [flight])
     assert set(np.flatnonzero(seen.impacts)) <= {39, 40, 41} and seen.impacts.any()
+    windows = Windows(np.zeros(3, int), np.array([20, 36, 60]), np.array([1, 5]))
+    assert over_impacts([seen], windows).tolist() == [False, True, False]
 
 
 def test_only_what_is_narrower_than_possible_is_looked_at_again():
