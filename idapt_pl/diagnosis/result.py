@@ -98,6 +98,7 @@ class EffectEstimate:
         error_after: on held-out episodes, with all effects found; None for numerics.
         error_without: the same without this one; None for numerics.
         equivalent: what explains the data as well.
+        implausible: why no real machine has it, in words; empty where one may.
     """
 
     effect: str
@@ -107,6 +108,7 @@ class EffectEstimate:
     error_after: float | None = None
     error_without: float | None = None
     equivalent: Sequence[Alternative] = ()
+    implausible: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -120,7 +122,8 @@ class EffectEstimate:
         errors: dict[str, Any] = {"error_after": self.error_after}
         if self.error_without is not None:
             errors = {"fixed": dict(self.fixed), **errors, "error_without": self.error_without}
-        return {**entry, **errors, "equivalent": [a.to_dict() for a in self.equivalent]}
+        equivalent = [a.to_dict() for a in self.equivalent]
+        return {**entry, **errors, "equivalent": equivalent, "implausible": self.implausible}
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> EffectEstimate:
@@ -133,6 +136,7 @@ class EffectEstimate:
             entry.get("error_after"),
             entry.get("error_without"),
             tuple(map(Alternative.from_dict, entry.get("equivalent", ()))),
+            entry.get("implausible", ""),
         )
 
 
@@ -229,6 +233,7 @@ class RejectedCandidate:
         score: squared whitened error that the screen expects it to remove.
         held_out_gain: what a refit with it takes off the squared held-out error; None where it was not refitted.
         rejected_because: in words.
+        implausible: whether it was because no real machine has it.
     """
 
     effect: str
@@ -239,6 +244,7 @@ class RejectedCandidate:
     score: float
     held_out_gain: float | None
     rejected_because: str
+    implausible: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
@@ -251,6 +257,7 @@ class RejectedCandidate:
             "score": self.score,
             "held_out_gain": self.held_out_gain,
             "rejected_because": self.rejected_because,
+            "implausible": self.implausible,
         }
 
 

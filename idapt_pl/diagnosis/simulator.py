@@ -130,11 +130,13 @@ class Simulator:
             nudge: moves the first measured state, (2 nv,), for sensitivities.
             push: further forces, (n, k, nv), each for a k-th of the window.
         """
-        measured_q, measured_v = self._measured(windows, windows.offsets)
-        qpos, qvel = self.predict(effects, windows, nudge, push)
-        parts = [position_difference(self.model, qpos, measured_q)]
+        return self.difference(self.measured(windows, windows.offsets), self.predict(effects, windows, nudge, push))
+
+    def difference(self, one: Motion, other: Motion) -> np.ndarray:
+        """One motion minus another, in all channels, (n, j, channels)."""
+        parts = [position_difference(self.model, other[0], one[0])]
         if self.velocities:
-            parts.append(measured_v - qvel)
+            parts.append(one[1] - other[1])
         return np.nan_to_num(np.concatenate(parts, -1), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
 
     def predict(
@@ -143,7 +145,7 @@ class Simulator:
         """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
         self.calls += 1
         model, data = self._ready(effects)
-        qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
+        qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
         if nudge is not None:
             nv = self.model.nv
             qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
@@ -167,7 +169,8 @@ class Simulator:
     def _times(self, windows: Windows) -> np.ndarray:
         return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
 
-    def _measured(self, windows: Windows, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def measured(self, windows: Windows, offsets: np.ndarray) -> Motion:
+        """Measured positions and velocities at samples of every window, (n, offsets, nq) and (n, offsets, nv)."""
         return self._of("qpos", windows, offsets), self._of("qvel", windows, offsets)
 
     def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
