@@ -31,6 +31,8 @@ JUMP = 12.0
 """A velocity jumps where its second difference is so many times the usual one."""
 SHARE_OF_IMPACTS, FEWEST_WINDOWS = 1 / 3, 60
 """Of the windows, where impacts are rarer; but not fewer windows than this for it."""
+LEFT_OUT = "left_out"
+"""Name of the channel of ``infos`` that marks control steps in which the model is not expected to hold."""
 
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
@@ -46,6 +48,7 @@ class Recording:
         qpos: measured positions, (T+1, nq).
         qvel: measured or estimated velocities, (T+1, nv).
         actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
+        left_out: control steps that nothing is predicted in, (T,) bool; None for none.
         impacts: whether something hit something between a sample and the next, (T,); None where it is not known.
     """
 
@@ -54,6 +57,7 @@ class Recording:
     qpos: np.ndarray
     qvel: np.ndarray
     actions: np.ndarray
+    left_out: np.ndarray | None = None
     impacts: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -106,7 +110,8 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
                 f"episode_{i}: a pause of {gaps.max():.4g} s after row {gaps.argmax()}, where nobody knows what was "
                 "commanded: make two episodes of it (`idapt import` does)"
             )
-        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions))
+        left_out = steps_left_out(f"episode_{i}", episode)
+        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions, left_out))
     if any(qvel is None for _, qvel in measured):
         return with_impacts(model, sloped), False
     shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
@@ -115,6 +120,23 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return with_impacts(model, sloped), False
     return with_impacts(model, shown), True
+
+
+def steps_left_out(where: str, episode: Episode) -> np.ndarray | None:
+    """Control steps that ``infos/left_out`` marks, (T,) bool; None where it marks none.
+
+    Raises:
+        UnusableData: it is not one mark for each control step.
+    """
+    marked = episode.infos.get(LEFT_OUT)
+    if marked is None:
+        return None
+    if marked.shape != (len(episode),) or marked.dtype.kind not in "biu":
+        raise UnusableData(
+            f"{where}: infos/{LEFT_OUT} is {marked.dtype} {marked.shape}, expected one mark (bool) for each of "
+            f"{len(episode)} control steps"
+        )
+    return marked.astype(bool) if marked.any() else None
 
 
 def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tuple[np.ndarray, np.ndarray | None]:
@@ -219,21 +241,32 @@ def sample_windows(
     """At most ``limit`` windows of ``steps`` control steps out of some episodes, not overlapping.
 
     The first steps of an episode are left out where it is long enough: commands from before the
-    recording may still act there. Where things hit each other seldom, windows over an impact are a third of all, as far
-    as there are so many: nothing else shows how they bounce.
+    recording may still act there. So are windows with a step that is left out of the recording. Where things hit each
+    other seldom, windows over an impact are a third of all, as far as there are so many: nothing else shows how they
+    bounce.
     """
     rng = np.random.default_rng(seed)
     found, hit = [], []
     for e in episodes:
         r, T = data[e], len(data[e])
         skip = min(int(np.ceil(START_UP / np.median(np.diff(r.time)))), T // 4, max(0, T - steps))
-        starts = np.arange(skip if r.actions.shape[1] else 0, T - steps + 1, steps)
+        starts = window_starts(r.left_out, skip if r.actions.shape[1] else 0, T, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
         hit.append(np.array([has_impact(r, s, steps) for s in starts], bool))
     every = np.concatenate(found) if found else np.zeros((0, 2), int)
     every = every[choose_rows(np.concatenate(hit) if hit else np.zeros(0, bool), limit, rng)]
     offsets = np.unique(np.round(np.linspace(0, steps, samples + 1)[1:]).astype(int))
     return Windows(every[:, 0], every[:, 1], offsets)
+
+
+def window_starts(left_out: np.ndarray | None, first: int, last: int, steps: int) -> np.ndarray:
+    """First steps of windows one after the other from ``first`` to ``last``; anew after what is left out."""
+    if left_out is None:
+        return np.arange(first, last - steps + 1, steps)
+    kept = np.concatenate([[False], ~left_out[first:last], [False]])
+    begins, ends = (first + np.flatnonzero(np.diff(kept.astype(int)) == s) for s in (1, -1))
+    runs = [np.arange(a, b - steps + 1, steps) for a, b in zip(begins, ends, strict=True)]
+    return np.concatenate([*runs, np.zeros(0, int)]).astype(int)
 
 
 def has_impact(recording: Recording, start: int, steps: int) -> bool:

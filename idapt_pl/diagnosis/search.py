@@ -41,6 +41,8 @@ class Diagnosis:
         sim: of the nominal model, with the recordings.
         held_out: windows that it was judged on.
         trials: everything tried, round by round.
+        context: what stayed the same throughout the search.
+        state: where the search ended.
     """
 
     result: DiagnosisResult
@@ -49,6 +51,8 @@ class Diagnosis:
     sim: Simulator
     held_out: Windows
     trials: tuple[Trial, ...]
+    context: SearchContext
+    state: SearchState
 
     @property
     def verdict(self) -> Verdict:
@@ -113,7 +117,7 @@ def diagnose(
     result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
     progress("done", 1.0)
     held_out = state.windows.held_out.windows
-    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials)
+    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
 
 
 Progression = tuple[SearchState, tuple[Trial, ...]]

@@ -180,7 +180,7 @@ def error_rows(result: DiagnosisResult) -> list[tuple[str, float, str]]:
     given = "the model as it was given" + (", with the effects declared" if result.declared else "")
     return [
         ("before", error.before, given),
-        ("after", error.after, "with the effects below" if result.effects else "the same: nothing was added"),
+        ("after", error.after, "with the effects found" if result.effects else "the same: nothing was added"),
         ("noise floor", ErrorTable.NOISE_FLOOR, "a perfect model: what the measurement noise alone leaves"),
         ("ceiling", error.ceiling, "the given model, corrected by a black box (a regression on state and commands)"),
     ]
