@@ -136,11 +136,11 @@ def cell_scale(mine: Sequence[RunResult], settings: SweepSettings) -> CellScale:
     run = mine[0].run
     given = settings.references.get(run.cell) or settings.references.get(f"{run.task}/{run.target}") or {}
     direct = [r.direct_transfer for r in mine if r.direct_transfer is not None]
-    zero, zero_from = given.get("direct_transfer"), "given in the sweep's YAML"
+    zero, zero_from = given.get("direct_transfer"), "by the sweep's references"
     if zero is None and direct:
         zero, zero_from = float(np.mean(direct)), f"mean of {len(direct)} runs"
     oracles = [r.oracle for r in mine if r.oracle is not None]
-    oracle, oracle_from = given.get("oracle"), "oracle, given in the sweep's YAML"
+    oracle, oracle_from = given.get("oracle"), "oracle, by the sweep's references"
     if oracle is None and oracles:
         oracle, oracle_from = float(np.mean(oracles)), f"oracle, mean of {len(oracles)} runs"
     paper = PAPER_RESULTS.get((run.task, run.target), {}).get("IDAPT")

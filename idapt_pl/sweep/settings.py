@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -263,11 +264,13 @@ def root_seeds(said: Any) -> tuple[int, ...]:
 
 
 def measured_elsewhere(said: Any) -> dict[str, dict[str, float]]:
-    """``references``: for a cell, returns measured elsewhere.
+    """``references``: for a cell, returns measured elsewhere; or a table of them.
 
     Raises:
         ValueError: if it is something else.
     """
+    if isinstance(said, str):
+        return tabled_oracles(config_file(said, "", "references"))
     found = {}
     for cell, entries in mapping(said, "references").items():
         where = f"references: {cell}"
@@ -276,6 +279,28 @@ def measured_elsewhere(said: Any) -> dict[str, dict[str, float]]:
             raise ValueError(f"{where}: expected a task and a target, as in inverted_pendulum/hard")
         found[str(cell)] = {str(k): number(v, f"{where}.{k}", -1e9, 1e9) for k, v in entries.items()}
     return found
+
+
+def tabled_oracles(path: Path) -> dict[str, dict[str, float]]:
+    """Oracles of a CSV file as ``benchmarks/bounds.py`` writes it: means over rows of one task and domain.
+
+    Raises:
+        ValueError: if columns are missing.
+    """
+    with path.open(newline="", encoding="utf-8") as f:
+        rows = list(csv.DictReader(f))
+    try:
+        oracles = [row for row in rows if row["policy"] == "oracle"]
+        by_success = {row["task"] for row in oracles if row["metric"] == "success"}
+        values: dict[str, list[float]] = {}
+        for row in oracles:
+            if row["metric"] == ("success" if row["task"] in by_success else "return"):
+                values.setdefault(f"{row['task']}/{row['domain']}", []).append(float(row["mean"]))
+    except (KeyError, ValueError) as error:
+        raise ValueError(
+            f"references: {path} is no table of oracles ({error}); it has task, domain, policy, metric and mean"
+        ) from None
+    return {cell: {"oracle": sum(found) / len(found)} for cell, found in values.items()}
 
 
 # --- what the functions above share ---------------------------------------------------------------------

@@ -68,7 +68,7 @@ def test_scores_are_0_at_direct_transfer_and_1_at_the_reference(sweep):
     assert cell_scale(cells["half_cheetah/hard"], settings(normalise="paper")).one == 1695
     given = settings(references={"half_cheetah/hard": {"direct_transfer": 0, "oracle": 2000}})
     scale = cell_scale(cells["half_cheetah/hard"], given)
-    assert (scale.zero, scale.one) == (0, 2000) and "given" in scale.zero_from and "given" in scale.one_from
+    assert (scale.zero, scale.one) == (0, 2000) and "references" in scale.zero_from and "references" in scale.one_from
     assert "direct transfer has 1 already" in cell_scale(cells["fetch_reach/easy"], settings()).missing
 
 

@@ -95,6 +95,19 @@ def test_what_cannot_be_right_is_said(changes, words, tmp_path):
     assert all(word in str(error.value) for word in words) and "\n" not in str(error.value), error.value
 
 
+def test_oracles_come_from_a_table_too(tmp_path):
+    path = tmp_path / "bounds.csv"
+    path.write_text(
+        "task,domain,policy,metric,mean\nfetch_reach,hard,oracle,success,1.0\nfetch_reach,hard,oracle,return,-3\n"
+        "walker2d,easy,oracle,return,2000\nwalker2d,easy,oracle,return,3000\nwalker2d,easy,direct transfer,return,5\n"
+    )
+    found = made(tmp_path, references=str(path)).references
+    assert found == {"fetch_reach/hard": {"oracle": 1.0}, "walker2d/easy": {"oracle": 2500.0}}
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"bounds\.csv is no table of oracles"):
+        made(tmp_path, references=str(path))
+
+
 def test_errors_name_the_file(tmp_path):
     (tmp_path / "s.yaml").write_text("- 1\n")
     with pytest.raises(ValueError, match=r"s\.yaml: it holds no keys"):
