@@ -72,8 +72,8 @@ EXAMPLES = """examples:
 """
 
 WRITTEN = (
-    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "unrepaired.xml", "looks.yaml", "looks.png",
-    "mended.h5",
+    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "unrepaired.xml",
+    "looks.yaml", "looks.png", "mended.h5",
 )  # fmt: skip
 """Files in the folder that a diagnosis writes."""
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from idapt_pl.estimation.least_squares import huber_weights
 
-DRAWS = 999
+SIGN_FLIPS = 999
 """Of the bootstrap."""
 
-FEWEST_CLUSTERS = 10
+FEWEST_STRETCHES = 10
 """Stretches that a test takes; episodes are halved or quartered until there are as many."""
 
 
@@ -68,9 +68,9 @@ class WindowScores:
     dispersion: float
 
 
-def stretches_of(at: WindowTimes) -> np.ndarray:
+def time_clusters(at: WindowTimes) -> np.ndarray:
     """Number of the stretch that each window is in: an episode, or as large a part of one as makes enough of them."""
-    parts = next((k for k in (1, 2, 4) if k * len(np.unique(at.episode)) >= FEWEST_CLUSTERS), 4)
+    parts = next((k for k in (1, 2, 4) if k * len(np.unique(at.episode)) >= FEWEST_STRETCHES), 4)
     out = np.zeros(len(at.episode), int)
     for n, e in enumerate(np.unique(at.episode)):
         rows = np.flatnonzero(at.episode == e)
@@ -131,8 +131,8 @@ def constancy_test(
 ) -> tuple[list[TimeShape], list[float]]:
     """The best shape for each parameter by BIC, and how likely any constant one would look as changing as that."""
     numbers, at = np.unique(clusters, return_inverse=True)
-    signs = np.random.default_rng(seed).choice((-1.0, 1.0), (DRAWS, len(numbers)))
+    signs = np.random.default_rng(seed).choice((-1.0, 1.0), (SIGN_FLIPS, len(numbers)))
     found = [merits(w, shapes, at, np.ones((1, len(numbers))))[0] for w in parameters]
     chance = np.max([merits(w, shapes, at, signs).max(1) for w in parameters], axis=0)
-    p = [float(1 + np.sum(chance >= m.max() - 1e-9)) / (DRAWS + 1) for m in found]
+    p = [float(1 + np.sum(chance >= m.max() - 1e-9)) / (SIGN_FLIPS + 1) for m in found]
     return [shapes[int(np.argmax(m))] for m in found], p

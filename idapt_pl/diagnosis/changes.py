@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from idapt_pl.diagnosis.change_statistics import (
-    FEWEST_CLUSTERS,
+    FEWEST_STRETCHES,
     TimeShape,
     WindowScores,
     WindowTimes,
     constancy_test,
     scores_of,
-    stretches_of,
+    time_clusters,
     time_shapes,
 )
 from idapt_pl.diagnosis.context import SearchContext
@@ -37,7 +37,7 @@ LEAST_CHANGE = 0.1
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
-STRETCHES = 6
+SHOWN_STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
 
 
@@ -114,8 +114,8 @@ def find_changes(context: SearchContext, state: SearchState) -> ChangeReport | N
     None where there is nothing to test, or too little to tell.
     """
     at = windows_in_order(context, state)
-    clusters = stretches_of(at)
-    if len(np.unique(clusters)) < FEWEST_CLUSTERS:
+    clusters = time_clusters(at)
+    if len(np.unique(clusters)) < FEWEST_STRETCHES:
         return None
     context.progress("does it change?", 0.9)
     z = all_windows(context, state, state.effects, at.order)
@@ -217,7 +217,9 @@ def describe(
     slope = -float(w.score @ f) / float(w.information @ np.square(f))
     ends = value + slope * (f[[np.argmin(at.time), np.argmax(at.time)]] if "within" in s.kind else f[[0, -1]])
     if "step" in s.kind:
-        ends = np.array([refitted(context, state, t, at, s.f == side, e) for side, e in zip((0, 1), ends, strict=True)])
+        ends = np.array(
+            [refit_alone(context, state, t, at, s.f == side, e) for side, e in zip((0, 1), ends, strict=True)]
+        )
     low, high = (float(b[k]) for b in c.bounds())
     ends = np.clip(ends, low, high)
     if abs(ends[1] - ends[0]) < LEAST_CHANGE * max(abs(value), abs(value - c.nominal[k]), c.scale[k]):
@@ -242,7 +244,7 @@ def describe(
     )
 
 
-def refitted(
+def refit_alone(
     context: SearchContext, state: SearchState, t: ParameterInTime, at: WindowTimes, rows: np.ndarray, guess: float
 ) -> float:
     """The parameter by simulation of some of the fitted windows alone, the other effects as they are."""
@@ -270,7 +272,7 @@ def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> l
     bins = at.episode.astype(float)
     places = np.unique(bins)
     if "within" in s.kind:
-        edges = np.linspace(0, at.time.max() + 1e-9, STRETCHES + 1)
+        edges = np.linspace(0, at.time.max() + 1e-9, SHOWN_STRETCHES + 1)
         bins = np.digitize(at.time, edges) - 1.0
         places = np.unique(bins)
     out = []

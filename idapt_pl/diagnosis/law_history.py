@@ -69,7 +69,7 @@ def remembered(acting: ActingForces, data: Sequence[Recording]) -> np.ndarray:
     out = np.zeros((len(data), samples, acting.memories))
     before: list[JointSignals] = []
     for k in range(samples):
-        now = [{name: x[:, k] for name, x in signals.items()} for signals in seen]
+        now: list[JointSignals] = [{name: x[:, k] for name, x in signals.items()} for signals in seen]
         if k:
             out[:, k] = acting.remember(before, now, out[:, k - 1], time[:, k] - time[:, k - 1])
         before = now

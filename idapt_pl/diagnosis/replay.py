@@ -10,7 +10,7 @@ from idapt_pl.diagnosis.search_state import SearchState
 
 TIMES_LONGER = 5
 """How much longer these stretches are than windows, where episodes are long enough."""
-STRETCHES = 60
+REPLAYED_STRETCHES = 60
 """Of held-out episodes that are replayed, at most."""
 
 
@@ -18,7 +18,7 @@ def long_windows(context: SearchContext) -> Windows:
     """Stretches of the held-out episodes."""
     lengths = [len(context.sim.data[e]) for e in context.held_out_episodes]
     steps = int(max(context.steps, min(TIMES_LONGER * context.steps, 0.8 * np.median(lengths))))
-    return sample_windows(context.sim.data, context.held_out_episodes, steps, 5, STRETCHES, context.seed + 4)
+    return sample_windows(context.sim.data, context.held_out_episodes, steps, 5, REPLAYED_STRETCHES, context.seed + 4)
 
 
 def replay_losses(context: SearchContext, state: SearchState, windows: Windows) -> np.ndarray:

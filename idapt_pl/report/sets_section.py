@@ -11,7 +11,6 @@ from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResul
 from idapt_pl.report.html import figure, paragraph, row, section, table
 from idapt_pl.report.plots import AFTER, BEFORE, NOISE, escape_mathtext, svg
 
-
 COMMON_IS_WORSE = 1.3
 """Errors with the common answer, in those with a file's own values, from which the common answer is not enough."""
 
@@ -48,8 +47,8 @@ def common_is_worse(comparison: SetComparison) -> str:
     if worst.common < COMMON_IS_WORSE * worst.own or not comparison.changed:
         return ""
     return (
-        f"One value for all files leaves {format_number(worst.common)} times the noise in {worst.recordings.name}, its own "
-        f"{format_number(worst.own)}: take each file's own values."
+        f"One value for all files leaves {format_number(worst.common)} times the noise in {worst.recordings.name}, its "
+        f"own {format_number(worst.own)}: take each file's own values."
     )
 
 
