@@ -258,7 +258,7 @@ def refit_alone(
     return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
 
 
-def alone(c: Candidate, k: int, x: np.ndarray) -> Candidate:
+def search_alone(c: Candidate, k: int, x: np.ndarray) -> Candidate:
     """A candidate with one free parameter, the others as in x."""
     held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(c.names, x, strict=True)) if i != k)
     span = None if c.span is None else (c.span[k],)
