@@ -254,11 +254,11 @@ def refit_alone(
         return guess
     rest = state if t.accepted is None else state.without(t.accepted)
     x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
-    one = alone(t.candidate, t.k, x)
+    one = only_parameter(t.candidate, t.k, x)
     return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
 
 
-def search_alone(c: Candidate, k: int, x: np.ndarray) -> Candidate:
+def only_parameter(c: Candidate, k: int, x: np.ndarray) -> Candidate:
     """A candidate with one free parameter, the others as in x."""
     held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(c.names, x, strict=True)) if i != k)
     span = None if c.span is None else (c.span[k],)
