@@ -37,7 +37,7 @@ from cli.diagnose_images import diagnose_images_by_forecasts, read_images, repor
 from cli.diagnose_recordings import diagnose_recordings, progress_bar
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
@@ -45,9 +45,11 @@ from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.forecast_page import forecast_verdict
+from idapt_pl.report.law_section import law_sentences
 from idapt_pl.run import Run
 
 EXAMPLES = """examples:
@@ -70,7 +72,8 @@ EXAMPLES = """examples:
 """
 
 WRITTEN = (
-    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "looks.yaml", "looks.png", "mended.h5",
+    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "unrepaired.xml",
+    "looks.yaml", "looks.png", "mended.h5",
 )  # fmt: skip
 """Files in the folder that a diagnosis writes."""
 
@@ -121,6 +124,7 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
+    p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
     return p
@@ -168,7 +172,8 @@ def diagnose_run(o: argparse.Namespace) -> int:
         with progress_bar() as progress:
             diagnosis = diagnose(
                 model, images.readings.target, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads, **how,
+                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
+                laws=not o.no_laws, **how,
             )  # fmt: skip
     except UnusableData as error:
         raise ValueError(f"{data}: {error}") from None
@@ -221,11 +226,16 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
         errors.add_row(name, format_number(value), what)
     tables = [errors, *effects_tables(result.effects, model)]
     notes = {"the rest": result.signature, "next": result.next_experiment}
-    print_findings(verdict_in_words(result, model), tables, out, notes)
+    print_findings([*verdict_in_words(result, model), *more_sentences(result)], tables, out, notes)
     if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
         names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
         words = f"not in patched.xml, as MJCF has no words for it: {escape(names)}"
         Console().print(words, soft_wrap=True)
+
+
+def more_sentences(result: DiagnosisResult) -> list[str]:
+    """What changes, and laws for what no effect explains."""
+    return [*change_sentences(result.changes), *law_sentences(result.laws)]
 
 
 def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:

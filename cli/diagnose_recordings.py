@@ -63,6 +63,7 @@ def diagnose_recordings(
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
                 replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
+                laws=not o.no_laws,
             )  # fmt: skip
 
         try:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
+from idapt_pl.diagnosis.candidates import all_candidates, in_plausible_ranges, typical_sizes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Recording, as_recordings
 from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows
@@ -37,8 +37,12 @@ def begin_search(
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
     sizes = typical_sizes(sim.model, data, steps * sim.control_period)
-    considered = choose_candidates(all_candidates(model, sizes), candidates)
-    context = SearchContext(sim, declared, considered, *splits, steps, probe, noise, seed, settings, progress)
+    unlimited = choose_candidates(all_candidates(model, sizes), candidates)
+    considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
+    without_ranges = unlimited if settings.plausible else ()
+    context = SearchContext(
+        sim, declared, considered, without_ranges, *splits, steps, probe, noise, seed, settings, progress
+    )
     return context, first_state(context, first_noise)
 
 

@@ -15,7 +15,7 @@ from idapt_pl.deployment_faults import FaultReport
 from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
-from idapt_pl.files import write_atomically, write_json, write_yaml
+from idapt_pl.files import write_atomically, write_bytes, write_json, write_yaml
 from idapt_pl.recording_sets import SetComparison
 from idapt_pl.report.actuator_settings import drive_settings
 from idapt_pl.report.changed_settings import changed_settings
@@ -122,6 +122,7 @@ def write_diagnosis(
     write_atomically(folder / "settings.md", lambda path: path.write_text(text, encoding="utf-8"))
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
+    write_bytes(folder / "unrepaired.xml", repaired.nominal.encode())
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))
 
 

@@ -14,8 +14,10 @@ from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
+from idapt_pl.report.change_section import change_section
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
 from idapt_pl.report.html import document, paragraph, row, section, table
+from idapt_pl.report.law_section import law_section
 from idapt_pl.report.minute_section import minute_section
 from idapt_pl.report.next_steps import linked_name, next_steps_section
 from idapt_pl.report.plots import STYLE, svg
@@ -55,6 +57,8 @@ def diagnosis_page(
         effects_section(result, model),
         settings,
         next_steps_section(result.effects, result.next_experiment),
+        change_section(result.changes),
+        law_section(result.laws),
         error_section(result),
         signature_section(result),
         picture_sections(diagnosis, drawn),

@@ -40,7 +40,8 @@ def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str
         Verdict.UNEXPLAINED_RESIDUAL: unexplained_sentences,
         Verdict.INSUFFICIENT_EXCITATION: quiet_sentences,
     }
-    return [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
+    said = [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
+    return [*said, *implausible_sentences(result)]
 
 
 # --- what each verdict says -----------------------------------------------------------------------------
@@ -137,6 +138,23 @@ def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
             others = ["another form of it" if o == own else o for o in others]
             sentences.append(f"These data cannot tell {own} from {listing(others)}.")
     return sentences
+
+
+def implausible_sentences(result: DiagnosisResult) -> list[str]:
+    """What is named last, or not at all, since no real machine has it."""
+    sentences = [
+        f"{phrase_at(*e.key).capitalize()} is named last: {e.implausible}. Nothing plausible explains these recordings "
+        "as well; look at the model there, or for a cause that no effect describes."
+        for e in result.effects
+        if e.implausible
+    ]
+    named = {e.key for e in result.effects}
+    refused = [c for c in result.candidates if c.implausible and (c.effect, c.target) not in named]
+    best = max(refused, key=lambda c: c.held_out_gain or 0.0, default=None)
+    if best is not None and not sentences:
+        what = phrase_at(best.effect, best.target)
+        sentences.append(f"Not named, though it would make predictions better: {what}. {best.rejected_because}.")
+    return [s[0].upper() + s[1:] for s in sentences]
 
 
 def estimate_cells(effect: EffectEstimate, model: mujoco.MjModel) -> list[tuple[str, str, str, str, str]]:
