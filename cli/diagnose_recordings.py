@@ -19,7 +19,7 @@ from cli.arguments import show_bar
 from datamodules import Trajectories, read_trajectories, write_trajectories
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.search import Diagnosis, diagnose
+from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects.base import Effect
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
@@ -63,11 +63,12 @@ def diagnose_recordings(
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
                 replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
-                laws=not o.no_laws,
+                laws=False,
             )  # fmt: skip
 
         try:
-            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), look=not o.keep_all)
+            finish = (lambda found: found) if o.no_laws else with_laws  # a push must not be taken for a law
+            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not o.keep_all, finish)
             comparison = compare_sets(diagnosis, sets) if len(sets) > 1 else None
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None

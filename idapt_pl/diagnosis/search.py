@@ -110,14 +110,23 @@ def diagnose(
     state, trials = run_search(context, state)
     progress("judging", 0.95)
     result = summarise_search(context, state, trials)
-    changes = find_changes(context, state)
-    if laws and not changes_over_recordings(changes):
-        state, result = add_laws(context, state, trials, result)
-    result = replace(result, changes=changes)
-    result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
-    progress("done", 1.0)
+    result = replace(result, changes=find_changes(context, state))
     held_out = state.windows.held_out.windows
-    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
+    found = Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
+    if laws:
+        found = with_laws(found)
+    progress("done", 1.0)
+    return replace(found, result=replace(found.result, runtime_s=round(time.perf_counter() - started, 2)))
+
+
+def with_laws(found: Diagnosis) -> Diagnosis:
+    """A diagnosis with laws of force, where much stays unexplained that no change over the recordings explains."""
+    if changes_over_recordings(found.result.changes):
+        return found
+    state, result = add_laws(found.context, found.state, found.trials, found.result)
+    result = replace(result, changes=found.result.changes, runtime_s=found.result.runtime_s)
+    held_out = state.windows.held_out.windows
+    return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
 
 Progression = tuple[SearchState, tuple[Trial, ...]]

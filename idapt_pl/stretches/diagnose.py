@@ -16,7 +16,7 @@ MOST_REPEATS = 2
 
 def diagnose_stretches(
     diagnose: Callable[[Trajectories], Diagnosis], data: Trajectories, conditions: tuple[str, ...] = (),
-    look: bool = True,
+    look: bool = True, finish: Callable[[Diagnosis], Diagnosis] = lambda found: found,
 ) -> tuple[Diagnosis, StretchReport]:  # fmt: skip
     """Diagnose recordings; where the model fails on end, far beyond the rest, leave that out and diagnose again.
 
@@ -25,6 +25,7 @@ def diagnose_stretches(
         data: recordings, with what the user leaves out marked.
         conditions: by which it is marked, for the report.
         look: for more.
+        finish: what is done with the last diagnosis alone.
 
     Returns:
         The diagnosis, and what was left out of it.
@@ -48,9 +49,9 @@ def diagnose_stretches(
         conditions,
     )
     if not found:
-        return last, report
+        return finish(last), report
     effects = tuple(e.key for e in first.result.effects)
-    return last, replace(report, with_them=effects, verdict_with_them=first.verdict.value)
+    return finish(last), replace(report, with_them=effects, verdict_with_them=first.verdict.value)
 
 
 def covered(stretch: Stretch, given: list[Stretch]) -> bool:
