@@ -33,7 +33,9 @@ def stopped(command, begun, signals, delay=0.5, within=90):
     time.sleep(delay)
     for number in signals:
         os.killpg(process.pid, number)
-    said = process.communicate(timeout=60)[1]  # waits for whoever else holds stderr, such as processes that render
+    said = process.communicate(timeout=max(60, within))[
+        1
+    ]  # waits for whoever else holds stderr, such as processes that render
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return process.returncode, said

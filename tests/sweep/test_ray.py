@@ -17,7 +17,11 @@ PATIENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_raylet_start_wait_time_s": "500",
     "RAY_gcs_server_request_timeout_seconds": "120",
+    "RAY_gcs_rpc_server_connect_timeout_s": "60",
     "RAY_worker_register_timeout_seconds": "300",
+    "RAY_health_check_initial_delay_ms": "60000",
+    "RAY_health_check_timeout_ms": "60000",
+    "RAY_health_check_failure_threshold": "20",
 }
 """Nodes may take minutes to start on a machine that others use."""
 NODE = {"num_cpus": 1, "object_store_memory": 100 * 2**20}
