@@ -77,7 +77,7 @@ def pairs_section(design: MotionDesign, rivals: Sequence[Rival]) -> str:
     note = (
         "Standard deviations of the measurement noise between the two predictions of one play, after each explanation "
         f"was fitted again to what the other predicts. From {format_number(SEPARATED)} on they count as told apart. "
-        "The last column is the best that any safe motion tried would reach."
+        "The last column is the most that any safe motion tried would give; it is linear, and often too large."
     )
     heads = ("explanation", "or", "#apart by this motion", "#by any tried")
     return section("What it tells apart", table(heads, rows), paragraph(note, "small"))
