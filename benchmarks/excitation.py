@@ -146,8 +146,8 @@ def plain_motion(search: MotionSearch, method: str, rng: np.random.Generator) ->
 
 def next_motion(
     case: Confounded, named: Named, method: str, seed: int, count: int
-) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """Commands of the next recording, (T, nu); predicted separations and pairs that none separates, by our method.
+) -> tuple[np.ndarray, np.ndarray, int | str]:
+    """Commands of the next recording, (T, nu), predicted separations, and how many pairs none separates (ours alone).
 
     Raises:
         ImpossibleMotion: one explanation is left, or no motion is safe.
@@ -162,8 +162,9 @@ def next_motion(
             raise ImpossibleMotion("one explanation alone is left")
         design = search.run(evaluations)
         return design.commands, design.separations, int((design.reachable < 3).sum())
-    search, _, _ = prepare_search(open_ones, plan, threads=1)
-    return plain_motion(search, method, np.random.default_rng([seed, count])), None, 0
+    search, _, rivals = prepare_search(open_ones, plan, threads=1)
+    commands = plain_motion(search, method, np.random.default_rng([seed, count]))
+    return commands, search.criterion.after_refit(commands) if len(rivals) > 1 else np.zeros(0), ""
 
 
 def closed_loop(case: Confounded, seed: int, method: str, first: list[Recording], named: Named) -> dict:
@@ -177,7 +178,7 @@ def closed_loop(case: Confounded, seed: int, method: str, first: list[Recording]
         except ImpossibleMotion as error:
             print("   ", method, error, flush=True)
             break
-        if apart is not None and count == 1:
+        if count == 1:
             separations, hopeless = " ".join(f"{d:.3g}" for d in apart), none_can
         new += [replay(case.world, commands, rng, np.array(case.start)) for _ in range(2)]
         named = diagnosed(case, first, new, seed)

@@ -110,8 +110,8 @@ class Confounded:
 CONFOUNDED: dict[str, Confounded] = {}
 HELD_BACK = ("two_link",)
 """Models that nothing was looked at with while the method was made."""
-LIMITS = {"hanging_pendulum": ((-1.2, 1.2), 4.0), "servo_arm": ((-1.0, 1.0), 2.0), "two_link": ((-1.2, 1.2), 4.0)}
-"""Positions and speeds, rad and rad/s."""
+LIMITS = {"hanging_pendulum": ((-0.4, 0.4), 1.5), "servo_arm": ((-0.5, 0.5), 1.0), "two_link": ((-0.4, 0.4), 1.5)}
+"""Positions and speeds, rad and rad/s: narrow, as where people or walls are near."""
 QUIET = ("low", "low", "low", "low")
 
 

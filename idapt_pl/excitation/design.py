@@ -51,7 +51,7 @@ class MotionDesign:
     Attributes:
         commands: (T, nu).
         separations: of every pair of rivals, each fitted again to what the other predicts, standard deviations.
-        reachable: the greatest separation of every pair that any safe motion tried would give.
+        reachable: the greatest separation of every pair that any safe motion tried would give, by the linear number.
         deviations: standard deviations that the motion alone leaves of the first rival's parameters, in their units.
         margins: the tightest places over all explanations and their variants.
         forecasts: of each rival.

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
+import mujoco
 from matplotlib.figure import Figure
 
-from idapt_pl.effects.wording import format_number
+from idapt_pl.effects.wording import format_number, unit_at
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.rivals import Rival
@@ -47,7 +48,7 @@ def motion_page(
     )
     parts = [
         header(motion_headline(design, goal), *lead, note=f"{names[0]}, after {names[1]}"),
-        explanations_section(rivals),
+        explanations_section(rivals, forecaster.model),
         pairs_section(design, rivals) if goal is Goal.SEPARATE else "",
         section("The motion", figure(scrollable(svg(drawn)), caption), *clips),
         parameters_section(parameters),
@@ -57,12 +58,12 @@ def motion_page(
     return document("the next recording", parts, APART if told else TOGETHER)
 
 
-def explanations_section(rivals: Sequence[Rival]) -> str:
+def explanations_section(rivals: Sequence[Rival], model: mujoco.MjModel) -> str:
     """The explanations with their values."""
     rows = []
     for rival in rivals:
         values = [
-            f"{name} {format_number(v)} {unit}".strip()
+            f"{name} {format_number(v)} {unit_at(model, c.target, unit)}".removesuffix(" 1")
             for c, x in zip(rival.candidates, rival.x, strict=True)
             for name, v, unit in zip(c.names, x, c.units(), strict=True)
         ]
@@ -77,7 +78,7 @@ def pairs_section(design: MotionDesign, rivals: Sequence[Rival]) -> str:
     note = (
         "Standard deviations of the measurement noise between the two predictions of one play, after each explanation "
         f"was fitted again to what the other predicts. From {format_number(SEPARATED)} on they count as told apart. "
-        "The last column is the best that any safe motion tried would reach."
+        "The last column is the most that any safe motion tried would give; it is linear, and often too large."
     )
     heads = ("explanation", "or", "#apart by this motion", "#by any tried")
     return section("What it tells apart", table(heads, rows), paragraph(note, "small"))

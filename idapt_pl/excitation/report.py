@@ -143,7 +143,7 @@ def information_rows(
                     "effect": c.kind.name,
                     "target": c.target,
                     "parameter": name,
-                    "name": f"{name} of {phrase_at(c.kind.name, c.target)}",
+                    "name": f"{phrase_at(c.kind.name, c.target)}: {name}",
                     "value": float(value),
                     "unit": unit_at(model, c.target, unit),
                     "half_width_now": None if interval is None else four_digits((interval[1] - interval[0]) / 2),
