@@ -8,6 +8,7 @@ from conftest import QUICK, ROOT, TINY
 from cli.main import main
 from idapt_pl.baselines.methods import METHODS
 from idapt_pl.files import read_json
+from idapt_pl.randomisation.settings import draw_variants
 from idapt_pl.run_config import METHOD_NAMES
 from idapt_pl.stages.collection import EXPERTS
 from idapt_pl.tasks.half_cheetah import HalfCheetah
@@ -105,15 +106,39 @@ def test_the_oracle_alone_trains_in_the_target_and_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("preset", "missing"),
     [("visual_only", "dynamics"), ("no_state_reconstruction", None), ("accumulate", None), ("newest_data", None),
-     ("data_random", None), ("dr_grounded", None)],
+     ("data_random", None)],
 )  # fmt: skip
 def test_an_ablation_runs_algorithm_1(preset, missing, tmp_path):
-    extra = {"effects__discover": "true"} if preset == "dr_grounded" else {}
-    assert fit(tmp_path, preset, **extra) == 0
+    assert fit(tmp_path, preset) == 0
     summary, _ = results(tmp_path)
     assert summary["method"] == "idapt" and summary["result"] == summary["grounded"][-1]
     assert summary["target_interactions"] == 120
     assert missing is None or not list(tmp_path.glob(f"step_*/{missing}"))
+
+
+def test_policies_train_within_the_interval_of_what_was_found(tmp_path, monkeypatch):
+    mass = {"nominal": 4.895, "estimate": 190.0, "ci95": [150.0, 240.0], "unit": "kg"}
+    found = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 190.0}}
+    estimates = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": mass}}]
+
+    class Found:
+        def to_dict(self):
+            return {"effects": [found], "estimates": estimates}
+
+    worlds = []
+
+    def variants(distribution, source, number, seed):
+        worlds.append(draw_variants(distribution, source, number, seed))
+        return worlds[-1]
+
+    monkeypatch.setattr("idapt_pl.stages.repair.discover_effects", lambda *args: Found())
+    monkeypatch.setattr("idapt_pl.worlds.draw_variants", variants)
+    assert fit(tmp_path, "dr_grounded", schedule__grounding_steps=0, side_by_side="false") == 0
+    drawn = [[v.effects[-1].mass for v in made] for made in worlds if made]
+    assert drawn and all(150 <= m <= 240 for made in drawn for m in made) and len(set(drawn[0])) == 3
+    assert [made for made in worlds if not made], "before anything is found the source is what it is"
+    summary = results(tmp_path)[0]
+    assert summary["effects"] == [{"step": 0} | found] and summary["target_interactions"] == 60
 
 
 @pytest.mark.parametrize("preset", ["data_expert", "data_random_expert"])
