@@ -14,7 +14,7 @@ from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNo
 from idapt_pl.modules.sac import SAC, Actor, unstack
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision
-from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.images import relight, stack_channels
 from idapt_pl.nets.state_filter import Memory, StateFilter
 
 
@@ -47,6 +47,8 @@ class AsymmetricSAC(SAC):
         lr_estimator: with ``supervised``, Adam.
         misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
             estimates have while training, new ones in every episode (:class:`.ObservationNoise`).
+        relight: with ``supervised``, how much the light of images varies while the encoder learns from them
+            (:func:`~idapt_pl.nets.images.relight`): G gives the target's usual light, and the target has others.
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         memory: with ``supervised``, size of the memory of a filter over time (:class:`.StateFilter`), which stands
@@ -84,6 +86,7 @@ class AsymmetricSAC(SAC):
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
         misperception: float = 0.0,
+        relight: float = 0.0,
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
         memory: int = 0,
@@ -173,7 +176,8 @@ class AsymmetricSAC(SAC):
     def estimator_loss(self, batch: dict[str, Tensor]) -> Tensor:
         """L1 between f(o) of a batch's ``pixels`` and its standardised ``state``."""
         with fast_precision(self.device, self.hparams.bf16):
-            return self.actor.encoder.error(stack_channels(batch["pixels"]), batch["state"])
+            images = relight(stack_channels(batch["pixels"]), self.hparams.relight)
+            return self.actor.encoder.error(images, batch["state"])
 
     def features(self, remembered: Tensor) -> Tensor:
         """f(o) of what replay keeps; images are cropped at random."""

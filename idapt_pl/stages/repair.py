@@ -15,6 +15,7 @@ from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.randomisation import found_intervals
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import effects_from_known_starts
+from idapt_pl.stages.replay_search import effects_from_replays
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class SourceRepair:
         worlds = self.context.worlds
         target = list(D_T) if k == 0 else [D_T[0], D_T[-1]]
         control = self.record_control(k)
+        if not worlds.task.tells_positions:
+            return self._add(k, effects_from_replays(self.context, k, self.settings, target, control, G, pi))
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
@@ -68,14 +71,17 @@ class SourceRepair:
         if self.settings.refine:
             found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
             refined = self.context.stages.read(k, "known_start_search")["parameters"]
-        self._add(k, found)
         if found and self.randomised:
             worlds.distribution = found_intervals(found, result["estimates"], refined)
-        return bool(found)
+        return self._add(k, found)
 
-    def _add(self, k: int, found: list[dict]) -> None:
-        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them."""
+    def _add(self, k: int, found: list[dict]) -> bool:
+        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them.
+
+        Returns whether there were any.
+        """
         worlds, stages = self.context.worlds, self.context.stages
         worlds.add_effects(effect_from_dict(e) for e in found)
         for folder in (stages.folder(k), stages.run_dir):
             write_yaml(folder / "effects.yaml", [e.to_dict() for e in worlds.added_effects])
+        return bool(found)

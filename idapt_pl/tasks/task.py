@@ -61,9 +61,13 @@ class Task(ABC):
             ValueError: where states do not tell.
         """
         raise ValueError(
-            f"effects.discover and labels.members need positions, which the states of {self.name} do not tell. "
-            "Set effects.discover: false and labels.members: 0."
+            f"labels.members needs positions, which the states of {self.name} do not tell. Set labels.members: 0."
         )
+
+    @property
+    def tells_positions(self) -> bool:
+        """Whether :meth:`motion` knows positions of states."""
+        return type(self).motion is not Task.motion
 
     @abstractmethod
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
