@@ -54,7 +54,12 @@ def results(folder):
     return read_json(folder / "summary.json"), read_json(folder / "ledger.json")
 
 
-@pytest.mark.parametrize("preset", NO_TARGET)
+def slow(*values):
+    """Values whose test takes long and says little that the others do not."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("preset", [slow(p) if "narrow" in p else p for p in NO_TARGET])
 def test_what_knows_the_source_alone_takes_no_step_in_the_target(preset, tmp_path):
     assert fit(tmp_path, preset) == 0
     summary, ledger = results(tmp_path)
@@ -105,8 +110,8 @@ def test_the_oracle_alone_trains_in_the_target_and_says_so(tmp_path):
 
 @pytest.mark.parametrize(
     ("preset", "missing"),
-    [("visual_only", "dynamics"), ("no_state_reconstruction", None), ("accumulate", None), ("newest_data", None),
-     ("data_random", None)],
+    [("visual_only", "dynamics"), slow("no_state_reconstruction", None), slow("accumulate", None),
+     slow("newest_data", None), slow("data_random", None), slow("paper_small", None)],
 )  # fmt: skip
 def test_an_ablation_runs_algorithm_1(preset, missing, tmp_path):
     assert fit(tmp_path, preset) == 0
@@ -141,7 +146,7 @@ def test_policies_train_within_the_interval_of_what_was_found(tmp_path, monkeypa
     assert summary["effects"] == [{"step": 0} | found] and summary["target_interactions"] == 60
 
 
-@pytest.mark.parametrize("preset", ["data_expert", "data_random_expert"])
+@pytest.mark.parametrize("preset", [slow("data_expert"), "data_random_expert"])
 def test_experts_explore_both_worlds_and_the_target_file_holds_images_alone(preset, tmp_path):
     assert fit(tmp_path, preset, schedule__grounding_steps=0) == 0
     assert (tmp_path / "step_00" / EXPERTS["expert"] / "final.ckpt").exists()
@@ -155,7 +160,7 @@ def test_backwards_data_want_a_task_with_a_direction(tmp_path, capsys):
     assert "has no direction" in capsys.readouterr().err and not (tmp_path / "run.json").exists()
 
 
-@pytest.mark.parametrize("preset", ["data_backwards", "data_random_backwards_expert"])
+@pytest.mark.parametrize("preset", [slow("data_backwards"), "data_random_backwards_expert"])
 def test_the_cheetah_explores_backwards(preset, tmp_path):
     config = QUICK.with_stem("cheetah_quick")
     small = {"schedule__grounding_steps": 0, "teacher__steps": 0, "teacher__rehearse": 0, "teacher__adapt": 0,
