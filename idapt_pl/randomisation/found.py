@@ -12,7 +12,7 @@ from idapt_pl.effects.distribution import DomainDistribution, within_intervals
 def found_intervals(
     effects: Sequence[Mapping[str, Any]], estimates: Sequence[Mapping[str, Any]], refined: Sequence[Mapping[str, Any]]
 ) -> DomainDistribution:
-    """Uniform over the 95 % intervals of effects; a parameter without one stays as it was found.
+    """Uniform over the 95 % intervals of effects; what has none stays as it was found.
 
     Args:
         effects: those that were added, in their YAML form.
@@ -30,5 +30,6 @@ def found_intervals(
         for r in (r for r in refined if (r["effect"], r["target"]) == key and r["log_halfwidth"] is not None):
             about, far = r["after"], exp(r["log_halfwidth"])
             intervals[r["parameter"]] = (min(about / far, about * far), max(about / far, about * far))
-        told.append({**effect, "ci95": {k: v for k, v in intervals.items() if k in effect["parameters"]}})
+        if known := {k: v for k, v in intervals.items() if k in effect["parameters"]}:
+            told.append({**effect, "ci95": known})
     return within_intervals(told)

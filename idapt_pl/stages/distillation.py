@@ -260,7 +260,7 @@ class Distillation:
         assert known is not None  # to_be_hardened
 
         def make(device: torch.device) -> VectorEnv:
-            return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+            return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
         build_expert: Callable[[], StateSAC] = partial(copy.deepcopy, known)
         self.expert = fit_expert(build_expert, make, recipe, self.stages, step, "hardened_teacher", False, errors)

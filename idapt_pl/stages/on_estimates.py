@@ -65,7 +65,7 @@ def fit_on_estimates(
     trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
 
     def grounded(device: torch.device) -> GroundedEnv:
-        return c.worlds.grounded(c.batches.num_envs, G, F)
+        return c.worlds.grounded_over(c.worlds.training_source(c.batches.num_envs), G, F)
 
     errors = partial(errors_of_estimates, pi, [trial])
     hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)

@@ -45,7 +45,7 @@ def test_an_expert_sees_the_targets_true_states_and_the_recording_does_not_hold_
 
 def test_an_expert_without_anything_to_look_into_says_so(cart):
     act = ExpertAtTheControls(Told(), "expert")
-    with pytest.raises(ValueError, match="there are none to see"):
+    with pytest.raises(ValueError, match="acts on true states, and there"):
         act(np.zeros((1, 2, 16, 16, 3), np.uint8))
 
     class Robot:
