@@ -252,7 +252,7 @@ def sample_windows(
         skip = min(int(np.ceil(START_UP / np.median(np.diff(r.time)))), T // 4, max(0, T - steps))
         starts = window_starts(r.left_out, skip if r.actions.shape[1] else 0, T, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
-        hit.append(np.array([has_impact(r, s, steps) for s in starts], bool))
+        hit.append(np.array([has_impact(r, int(s), steps) for s in starts], dtype=np.bool_))
     every = np.concatenate(found) if found else np.zeros((0, 2), int)
     every = every[choose_rows(np.concatenate(hit) if hit else np.zeros(0, bool), limit, rng)]
     offsets = np.unique(np.round(np.linspace(0, steps, samples + 1)[1:]).astype(int))
@@ -277,7 +277,8 @@ def has_impact(recording: Recording, start: int, steps: int) -> bool:
 def over_impacts(data: list[Recording], windows: Windows) -> np.ndarray:
     """Which windows are over an impact, (n,)."""
     steps = int(windows.offsets[-1])
-    return np.array([has_impact(data[e], s, steps) for e, s in zip(windows.episode, windows.start, strict=True)], bool)
+    pairs = zip(windows.episode.tolist(), windows.start.tolist(), strict=True)
+    return np.array([has_impact(data[e], s, steps) for e, s in pairs], dtype=np.bool_)
 
 
 def choose_rows(hit: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
