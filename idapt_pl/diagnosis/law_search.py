@@ -34,11 +34,8 @@ MOST_LAWS = 2
 PROPOSED, FITTED = 8, 3
 """Laws that regression proposes; of these, fitted on more windows and judged on held-out episodes."""
 
-LEAST_SHARE = 0.3
-"""Share of what is above the noise floor that a law must remove."""
-
-SURENESS = 2.0
-"""Lower confidence bound of the held-out gain, in standard errors, that must be above 0."""
+LEAST_SHARE, LEAST_GAIN = 0.3, 0.1
+"""Shares of what is above the noise floor, and of the whole held-out loss, that a law must remove."""
 
 NETWORKS = 2
 """Joints on which a black box is tried."""
@@ -148,7 +145,7 @@ def with_network(context: SearchContext, search: LawSearch, forecasts: Sequence[
         now = context.loss(state.windows.held_out, state.effects)
         after = context.loss(state.windows.held_out, (*state.effects, fit.effect))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
-        if worth_it(gain, error, now):
+        if worth_it(context, gain, error, now):
             share = gain / max(float(now.mean()) - 1.0, 1e-9)
             fixed = (*state.fixed, fit.effect)
             box = fit.effect.target, tuple(fit.effect.inputs.split()), round(share, 4)
@@ -167,7 +164,7 @@ def one_law(
     """The state with the best law, not refitted, and those refused for it; None where none is good enough."""
     now = context.loss(state.windows.held_out, state.effects)
     fitted = fit_laws(context, state, propose_laws(forecasts, PROPOSED), now)
-    passed = [f for f in fitted if worth_it(f.gain, f.gain_error, now)]
+    passed = [f for f in fitted if worth_it(context, f.gain, f.gain_error, now)]
     if not passed:
         return None
     best_gain = max(f.gain for f in passed)
@@ -180,9 +177,11 @@ def one_law(
     return replace(state, accepted=(*state.accepted, accepted)), others
 
 
-def worth_it(gain: float, error: float, now: np.ndarray) -> bool:
-    """Whether a held-out gain is sure and large; ``now``: losses without it, (n,)."""
-    return gain - SURENESS * error > 0 and gain > LEAST_SHARE * max(float(now.mean()) - 1.0, 0.0)
+def worth_it(context: SearchContext, gain: float, error: float, now: np.ndarray) -> bool:
+    """Whether a held-out gain is as sure as that of any effect, and large; ``now``: losses without it, (n,)."""
+    level = float(now.mean())
+    large = gain > max(LEAST_SHARE * max(level - 1.0, 0.0), LEAST_GAIN * level)
+    return large and gain - context.settings.sureness * error > 0
 
 
 def fit_laws(

@@ -44,7 +44,7 @@ def change_section(changes: ChangeReport | None) -> str:
     title = "Does it change while it is recorded?"
     if not changes.found:
         return section(
-            title, paragraph(f"No: the parameters found ({changes.tested}) are constant as far as can be seen.")
+            title, paragraph(f"No: of the parameters tested ({changes.tested}) none changes as far as can be seen.")
         )
     parts = []
     for f in changes.found:

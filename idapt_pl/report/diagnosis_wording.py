@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.result import (
     ParameterEstimate,
     Verdict,
 )
+from idapt_pl.effects.learned import LearnedForce
 from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
 
 HEADLINES = {
@@ -68,7 +69,9 @@ def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) ->
 
 
 def unexplained_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
-    """What was found all the same, and that it does not suffice."""
+    """What was found all the same, and that it does not suffice; or that a law of force does."""
+    if result.laws is not None and result.laws.found:
+        return with_law_sentences(result, model)
     level = f"{format_number(result.error.after)} times the measurement noise"
     if not result.effects:
         return [
@@ -80,6 +83,18 @@ def unexplained_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> lis
         f"Part of the error stays unexplained: {level} on episodes not used for fitting is left after all that helps.",
         f"What helps: {helps}.",
         gain_sentence(result),
+    ]
+
+
+def with_law_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
+    """That no known effect explains the recordings, and how far a learned law does."""
+    laws, known = result.laws, [e for e in result.effects if e.effect != LearnedForce.name]
+    assert laws is not None, "only where a law was found"
+    beside = f" Beside it: {'; '.join(effect_sentence(e, model) for e in known)}." if known else ""
+    return [
+        "The model lacks something that no known effect explains. A law of force was learned for it: the error falls "
+        f"from {format_number(laws.before)} to {format_number(laws.after)} times the measurement noise on episodes not "
+        f"used for fitting.{beside}"
     ]
 
 
