@@ -98,8 +98,15 @@ _add("pendulum_hysteresis", "pendulum", "axis", "history",
      planted.bouc_wen("axis", 0.3, 0.1, 2.0), False)  # fmt: skip
 _add("pendulum_lopsided_damping", "pendulum", "axis", "v",
      on_joint("axis", lambda q, v, f, t: -0.25 * v if v > 0 else -0.02 * v), False)  # fmt: skip
-_add("pendulum_cubic_spring", "pendulum", "axis", "q",
-     on_joint("axis", lambda q, v, f, t: -0.7 * q**3), True, numerics=RK4)  # fmt: skip  (its seed 1 was seen)
+_add(
+    "pendulum_cubic_spring",
+    "pendulum",
+    "axis",
+    "q",
+    on_joint("axis", lambda q, v, f, t: -0.7 * q**3),
+    True,
+    numerics=RK4,
+)  # fmt: skip  (its seed 1 was seen)
 _add("pendulum_clutch", "pendulum", "axis", "v",
      on_joint("axis", lambda q, v, f, t: -0.4 * max(abs(v) - 2.0, 0.0) * np.sign(v)), False)  # fmt: skip
 _add("link_other_stribeck", "two_link", "elbow", "v",
