@@ -73,7 +73,8 @@ def seen_node(ray: Any, node: dict[str, Any], answer: Any) -> SeenNode:
     except ray.exceptions.GetTimeoutError:
         return SeenNode(**seen, error=f"it did not answer within {ANSWERS_WITHIN / 60:.0f} minutes")
     except Exception as error:  # whatever happens there
-        return SeenNode(**seen, error=" ".join(str(error).split())[-200:] or type(error).__name__)
+        said = " ".join(str(getattr(error, "cause", None) or error).split())
+        return SeenNode(**seen, error=said[:300] or type(error).__name__)
 
 
 def probing() -> Callable[[str | None], dict[str, Any]]:
