@@ -27,8 +27,8 @@ other end closes."""
 FIT = ("cli", "fit")
 """Module and arguments of the command that the package's users call ``idapt fit``."""
 
-GRACE = 45.0
-"""Seconds that a run may take to leave after SIGTERM; ``idapt fit`` leaves within 30."""
+GRACE = 90.0
+"""Seconds that a run may take to leave after SIGTERM; on a machine that is not busy ``idapt fit`` takes a few."""
 
 LAST_LINES = 6
 

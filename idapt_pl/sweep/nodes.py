@@ -11,8 +11,8 @@ from typing import Any
 
 from idapt_pl.sweep.settings import RunResources
 
-ANSWERS_WITHIN = 120.0
-"""Seconds in which a machine must have imported the package."""
+ANSWERS_WITHIN = 600.0
+"""Seconds in which a machine must have imported the package; one that is busy may take minutes."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,11 @@ def seen_node(ray: Any, node: dict[str, Any], answer: Any) -> SeenNode:
     seen = {"name": node["NodeManagerAddress"], "cpus": resources["CPU"], "gpus": resources.get("GPU", 0.0)}
     try:
         return SeenNode(**seen, **ray.get(answer, timeout=ANSWERS_WITHIN))
+    except ray.exceptions.GetTimeoutError:
+        return SeenNode(**seen, error=f"it did not answer within {ANSWERS_WITHIN / 60:.0f} minutes")
     except Exception as error:  # whatever happens there
-        return SeenNode(**seen, error=" ".join(str(error).split())[-200:] or type(error).__name__)
+        said = " ".join(str(getattr(error, "cause", None) or error).split())
+        return SeenNode(**seen, error=said[:300] or type(error).__name__)
 
 
 def probing() -> Callable[[str | None], dict[str, Any]]:
