@@ -27,7 +27,7 @@ def found_intervals(
         for estimate in (e for e in estimates if (e["effect"], e["target"]) == key):
             known = {name: p["ci95"] for name, p in estimate["parameters"].items()}
             intervals |= {name: (min(ci), max(ci)) for name, ci in known.items() if ci is not None}
-        for r in (r for r in refined if (r["effect"], r["target"]) == key):
+        for r in (r for r in refined if (r["effect"], r["target"]) == key and r["log_halfwidth"] is not None):
             about, far = r["after"], exp(r["log_halfwidth"])
             intervals[r["parameter"]] = (min(about / far, about * far), max(about / far, about * far))
         if known := {k: v for k, v in intervals.items() if k in effect["parameters"]}:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from idapt_pl.appearance import discover_visual_effects
 from idapt_pl.effects import effect_from_dict
-from idapt_pl.files import write_yaml
+from idapt_pl.files import read_json, write_yaml
 from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
@@ -56,8 +56,22 @@ class SourceRepair:
         worlds = self.context.worlds
         target = list(D_T) if k == 0 else [D_T[0], D_T[-1]]
         control = self.record_control(k)
-        if not worlds.task.tells_positions:
-            return self._add(k, effects_from_replays(self.context, k, self.settings, target, control, G, pi))
+        if worlds.task.tells_positions:
+            found, estimates = self._found_by_positions(k, target, control, G, pi)
+        else:
+            found, estimates = effects_from_replays(self.context, k, self.settings, target, control, G, pi), []
+        if found and self.randomised:
+            told = self.context.stages.folder(k) / "known_start_search.json"
+            worlds.distribution = found_intervals(
+                found, estimates, read_json(told)["parameters"] if told.exists() else []
+            )
+        return self._add(k, found)
+
+    def _found_by_positions(
+        self, k: int, target: list[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC
+    ) -> tuple[list[dict], list[dict]]:
+        """Effects and what is estimated of them, where states tell positions."""
+        worlds = self.context.worlds
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
@@ -67,13 +81,10 @@ class SourceRepair:
             return found.to_dict()
 
         result = self.context.stages.measure(k, "effects", make)
-        found, refined = result["effects"], []
+        found = result["effects"]
         if self.settings.refine:
             found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
-            refined = self.context.stages.read(k, "known_start_search")["parameters"]
-        if found and self.randomised:
-            worlds.distribution = found_intervals(found, result["estimates"], refined)
-        return self._add(k, found)
+        return found, result["estimates"]
 
     def _add(self, k: int, found: list[dict]) -> bool:
         """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them.

@@ -1,0 +1,106 @@
+"""The explanations that recordings leave: the effects found, and sets of effects that do as well or nearly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.result import Alternative
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.effects import effect_from_dict
+from idapt_pl.effects.candidate import Candidate
+
+NEARLY = 0.8
+"""Share of an effect's held-out gain from which on a refused rival is worth a further recording."""
+
+
+def describe_measurement(context: SearchContext, state: SearchState) -> Measurement:
+    """How the recordings were measured and judged."""
+    sim, noise = context.sim, state.windows.noise
+    return Measurement(
+        control_period=round(sim.control_period, 9),
+        window_steps=context.steps,
+        velocities=sim.velocities,
+        sensor_noise=tuple(float(f"{v:.4g}") for v in noise.sensors),
+        initial_state_noise=tuple(float(f"{v:.4g}") for v in noise.start),
+    )
+
+
+def remaining_explanations(
+    context: SearchContext, state: SearchState, inseparable: Sequence[Alternative]
+) -> list[Explanation]:
+    """What was found, then every explanation in which one of its effects gives way to one that does as well.
+
+    Args:
+        context: of the search.
+        state: where it ended.
+        inseparable: what is the same as an effect found by construction, with the same estimates.
+    """
+    if not state.accepted:
+        return []
+    left = float(context.loss(state.windows.held_out, state.effects).mean())
+    found = explanation(context, state.fixed, state.candidates, state.estimates, "", Standing.FOUND, left)
+    delays = [with_alternative(found, alternative) for alternative in inseparable]
+    return [found, *delays, *(e for a in state.accepted for e in explanations_with_rivals(context, state, a, left))]
+
+
+def explanations_with_rivals(
+    context: SearchContext, state: SearchState, effect: AcceptedEffect, left: float
+) -> list[Explanation]:
+    """The explanations with an equivalent in the place of an effect, then those with a rival that does nearly as well.
+
+    ``left`` is the held-out loss of what was found.
+    """
+    equal = [refitted(context, state, effect, t, Standing.EQUIVALENT) for t in effect.equivalent]
+    refused = [t for t in effect.rivals if t not in effect.equivalent and not is_like(t, effect)]
+    behind = [refitted(context, state, effect, t, Standing.RUNNER_UP) for t in refused]
+    without = float(context.loss(state.windows.held_out, state.without(effect).effects).mean())
+    near = [e for e in behind if without - e.loss >= NEARLY * (without - left)]
+    return equal + sorted(near, key=lambda e: e.loss)
+
+
+def is_like(t: Trial, effect: AcceptedEffect) -> bool:
+    """Whether a trial is of the same candidate as an effect."""
+    return (t.candidate.label, t.candidate.names) == (effect.candidate.label, effect.candidate.names)
+
+
+def refitted(
+    context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial, standing: Standing
+) -> Explanation:
+    """The explanation with a trial's candidate in the place of an effect, all its parameters fitted again."""
+    candidates = [trial.candidate if a is effect else a.candidate for a in state.accepted]
+    x = [trial.x[-1] if a is effect else a.x for a in state.accepted]
+    fitted = context.fit(state.windows.screen, state.fixed, candidates, x, 3).x
+    left = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, fitted))).mean()
+    return explanation(context, state.fixed, candidates, fitted, trial.candidate.label, standing, float(left))
+
+
+def explanation(
+    context: SearchContext, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], label: str,
+    standing: Standing, loss: float,
+) -> Explanation:  # fmt: skip
+    """An explanation with these effects; ``label`` tells which of them is not among those found."""
+    known = [ExplainingEffect(e, {}) for e in fixed if e not in context.declared]
+    effects = effects_of(candidates, x)
+    free = [ExplainingEffect(e, free_parameters(c)) for e, c in zip(effects, candidates, strict=True)]
+    return Explanation(standing, label, (*known, *free), float(f"{loss:.4g}"))
+
+
+def free_parameters(c: Candidate) -> dict[str, tuple[float, float]]:
+    """Nominal value and scale of what can be fitted."""
+    rows = zip(c.names, c.nominal, c.scale, strict=True)
+    return {name: (float(nominal), float(scale)) for name, nominal, scale in rows}
+
+
+def with_alternative(found: Explanation, other: Alternative) -> Explanation:
+    """The explanation found, with an effect that is the same by construction in the place of its twin."""
+    new = effect_from_dict({"effect": other.effect, "target": other.target, "parameters": other.parameters})
+    twin = next(e for e in found.effects if set(e.free) == set(other.parameters))
+    effects = tuple(ExplainingEffect(new, e.free) if e is twin else e for e in found.effects)
+    return Explanation(Standing.EQUIVALENT, f"{other.effect}({other.target})", effects, found.loss)

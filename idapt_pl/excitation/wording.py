@@ -1,0 +1,79 @@
+"""What a motion tells apart, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from idapt_pl.diagnosis.explanation import Standing
+from idapt_pl.effects.wording import format_number
+from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
+from idapt_pl.excitation.rivals import Rival
+
+DECISIVE = 15.0
+"""Standard deviations from which a diagnosis decides on one recording; below, it may take two."""
+
+
+def motion_headline(design: MotionDesign, goal: Goal) -> str:
+    """The outcome in a few words."""
+    if goal is not Goal.SEPARATE:
+        return "A motion that narrows the estimates"
+    told = int((design.separations >= SEPARATED).sum())
+    if not told:
+        return "No safe motion tells these explanations apart"
+    return "A motion that tells " + ("all" if told == len(design.separations) else "some") + " explanations apart"
+
+
+def motion_in_words(design: MotionDesign, rivals: Sequence[Rival], goal: Goal) -> list[str]:
+    """What the motion tells apart and what none can, a sentence each."""
+    if goal is not Goal.SEPARATE:
+        return ["The motion is for narrowing the intervals of what was found; see the table of parameters."]
+    rows = zip(combinations(rivals, 2), design.separations, design.reachable, strict=True)
+    return [pair_in_words(first, second, apart, reachable) for (first, second), apart, reachable in rows]
+
+
+def pair_in_words(first: Rival, second: Rival, apart: float, reachable: float) -> str:
+    """What becomes of one pair."""
+    pair = f"{first.name} from {second.name}"
+    if apart >= DECISIVE:
+        return f"It tells {pair}: {format_number(apart)} standard deviations apart."
+    if apart >= SEPARATED:
+        return f"It tells {pair} just so ({format_number(apart)} standard deviations): play it several times."
+    if reachable >= SEPARATED:
+        return (
+            f"It does not tell {pair} ({format_number(apart)}); another motion would ({format_number(reachable)}), "
+            "once the others are told apart."
+        )
+    best = f"No safe motion found tells {pair}: at best {format_number(reachable)} standard deviations."
+    return best + nested_in_words(first, second)
+
+
+def nested_in_words(first: Rival, second: Rival) -> str:
+    """That one explanation has more parameters than the other, if it has."""
+    sizes = [sum(c.size for c in r.candidates) for r in (first, second)]
+    if sizes[0] == sizes[1]:
+        return ""
+    larger, smaller = (first, second) if sizes[0] > sizes[1] else (second, first)
+    return f" With its further parameters {larger.name} may do all that {smaller.name} does; prefer the simpler one."
+
+
+def standing_in_words(rival: Rival) -> str:
+    """Where an explanation stands in the report."""
+    return {
+        Standing.FOUND: "named by the diagnosis",
+        Standing.EQUIVALENT: "as good on the recordings so far",
+        Standing.RUNNER_UP: "nearly as good on the recordings so far",
+    }[rival.standing]
+
+
+def inseparable_groups(design: MotionDesign, rivals: Sequence[Rival]) -> list[list[str]]:
+    """Names of explanations that no safe motion found tells from each other, each group with at least two."""
+    group = list(range(len(rivals)))
+    for (a, b), best in zip(combinations(range(len(rivals)), 2), design.reachable, strict=True):
+        if best < SEPARATED:
+            old, new = group[b], group[a]
+            group = [new if g == old else g for g in group]
+    members = [[r.name for r, g in zip(rivals, group, strict=True) if g == k] for k in np.unique(group)]
+    return [m for m in members if len(m) > 1]

@@ -1,0 +1,97 @@
+"""The search finds safe motions, the same ones for the same seed, or says why there are none."""
+
+import numpy as np
+import pytest
+from arms import DAMPING, FORCE, FRICTION, OFFSET, RAIL, SERVO, compiled, left_open, quick_plan
+
+from idapt_pl.excitation.design import Goal
+from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
+from idapt_pl.excitation.plan import design_motion, holding_commands, read_base, start_pose
+from idapt_pl.excitation.wording import inseparable_groups, motion_headline, motion_in_words
+
+
+def designed(*explanations, xml=SERVO, **settings):
+    return design_motion(left_open(*explanations, xml=xml), quick_plan(xml, **settings), threads=1)
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return designed(DAMPING, FRICTION, limits=limits_of(compiled(), velocity={"*": (0, 3.0)}))
+
+
+def test_a_motion_tells_damping_from_friction_and_keeps_its_limits(friction):
+    design, rivals, _ = friction
+    assert design.separations[0] > 10 and design.reachable[0] >= design.separations[0]
+    assert all(m.room >= 0 for m in design.margins)
+    assert {m.what for m in design.margins} == {"position shoulder", "velocity shoulder", "contacts"}
+    for seen in design.forecasts:
+        assert np.abs(seen.qvel).max() < 3.0 and seen.qpos.max() < 0.75  # the wall
+    assert "It tells viscous friction" in motion_in_words(design, rivals, Goal.SEPARATE)[0]
+    assert motion_headline(design, Goal.SEPARATE) == "A motion that tells all explanations apart"
+    assert 0 < design.safe <= design.tried and len(design.commands) == 150
+
+
+def test_the_same_seed_finds_the_same_motion(friction):
+    again = designed(DAMPING, FRICTION, limits=limits_of(compiled(), velocity={"*": (0, 3.0)}))[0]
+    assert np.array_equal(again.commands, friction[0].commands)
+
+
+def test_twins_are_said_to_be_inseparable():
+    design, rivals, _ = designed(OFFSET, FORCE, xml=RAIL)
+    assert design.reachable[0] < 1
+    assert motion_in_words(design, rivals, Goal.SEPARATE)[0].startswith("No safe motion found tells offset")
+    assert inseparable_groups(design, rivals) == [[r.name for r in rivals]]
+    assert motion_headline(design, Goal.SEPARATE).startswith("No safe motion")
+
+
+def test_estimates_get_narrower_with_the_room_there_is():
+    wide, _, _ = designed(DAMPING, goal=Goal.ESTIMATE)
+    narrow, _, _ = designed(DAMPING, goal=Goal.ESTIMATE, limits=limits_of(compiled(), {"*": (-0.1, 0.1)}))
+    each, _, _ = designed(DAMPING, goal=Goal.ESTIMATE_EACH)
+    assert wide.deviations[0] < 0.5 * narrow.deviations[0]
+    assert each.deviations == pytest.approx(wide.deviations, rel=0.2)  # with one parameter they are the same
+
+
+def test_one_explanation_cannot_be_told_apart():
+    with pytest.raises(ImpossibleMotion, match="one explanation alone"):
+        designed(DAMPING)
+
+
+def test_a_start_in_a_forbidden_place_allows_no_motion():
+    with pytest.raises(ImpossibleMotion, match=r"limits allow no motion.*height reaches"):
+        designed(DAMPING, FRICTION, limits=limits_of(compiled(), lowest=0.6))
+
+
+def test_a_motion_that_is_too_short_is_refused():
+    with pytest.raises(ImpossibleMotion, match="too short"):
+        designed(DAMPING, FRICTION, duration=0.2)
+
+
+def test_a_servo_is_held_at_the_first_keyframe():
+    keyed = compiled(SERVO.replace("</mujoco>", '<keyframe><key qpos="0.4"/></keyframe></mujoco>'))
+    assert start_pose(keyed) == pytest.approx([0.4]) and holding_commands(keyed, start_pose(keyed)) == [0.4]
+    offside = compiled(SERVO.replace('range="-2 2"', 'range="0.3 2"'))
+    assert start_pose(offside) == pytest.approx([0.3])
+
+
+def test_recorded_commands_are_the_base_of_a_motion(tmp_path):
+    time = np.arange(100) * 0.03
+    (tmp_path / "base.csv").write_text("time [s],servo [rad]\n" + "".join(f"{t},{0.2 * np.sin(2 * t)}\n" for t in time))
+    base = read_base(tmp_path / "base.csv", compiled(), 0.02)
+    held = time[np.searchsorted(time, 0.02 * np.arange(148) + 1e-9, "right") - 1]
+    assert base[:, 0] == pytest.approx(0.2 * np.sin(2 * held))
+    design, _, _ = designed(DAMPING, FRICTION, base=base)
+    assert len(design.commands) == 148 and design.commands[0] == pytest.approx(base[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "expected a head"), ("time,other\n0,1\n1,2\n", "no column 'servo'"), ("time,servo\n0,1\n0,2\n", "increases"),
+     ("time,servo\n0,a\n", "expected a head")],
+)  # fmt: skip
+def test_what_is_no_table_of_commands_is_refused(tmp_path, text, said):
+    (tmp_path / "base.csv").write_text(text)
+    with pytest.raises(ImpossibleMotion, match=said):
+        read_base(tmp_path / "base.csv", compiled(), 0.02)
+    with pytest.raises(ImpossibleMotion, match="no such file"):
+        read_base(tmp_path / "none.csv", compiled(), 0.02)
