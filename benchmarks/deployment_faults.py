@@ -180,17 +180,75 @@ def repeated_samples(x: Channels, model: mujoco.MjModel, rng: np.random.Generato
     return "*"
 
 
+def lost_samples(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """Every seventeenth row is missing, with its command."""
+    rows = np.arange(9, len(x["actions"]) - 3, 17)
+    for name in ("qpos", "qvel", "actions"):
+        x[name] = np.delete(x[name], rows, axis=0)
+    return "*"
+
+
+def reordered_samples(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """Every fifteenth sample is exchanged with the next."""
+    for k in range(10, len(x["actions"]) - 3, 15):
+        for name in ("qpos", "qvel"):
+            x[name][[k, k + 1]] = x[name][[k + 1, k]]
+    return "*"
+
+
+def wrong_first_sample(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """The first two samples are zeros, from before the first message; positions begin elsewhere."""
+    for name in ("qpos", "qvel"):
+        x[name][:2] = 0
+    return "*"
+
+
 PLANTS: dict[str, Plant] = {
     f.__name__: f
     for f in (
         joint_sign, joint_unit, joint_zero, joint_order, velocity_sign, velocity_unit, velocity_order, velocity_clock,
         position_unit, command_order, command_sign, command_unit, command_clock, command_clock_early, command_clock_one,
-        repeated_samples,
+        repeated_samples, lost_samples, reordered_samples, wrong_first_sample,
     )
 }  # fmt: skip
 KINDS = {"command_clock_early": "command_clock", "command_clock_one": "command_clock"}
 NEED_TWO = ("joint_order", "velocity_order", "command_order", "command_clock_one")
 PERIODS = {"control_period": 2.0}
+MODELS_AT_FAULT = {"servo_as_motor": True, "motor_as_servo": False, "gravity_turned": None}
+"""Faults of the nominal model, and whether they need servos (True) or motors (False)."""
+
+
+def faulty_model(spec: mujoco.MjSpec, data: Trajectories, name: str, seed: int) -> Trajectories:
+    """Put a fault into the nominal model; the recordings that go with it."""
+    gears = np.array([a.gear[0] for a in spec.actuators])
+    limits = np.array([np.abs(a.ctrlrange).max() for a in spec.actuators])
+    for actuator, gear, limit in zip(spec.actuators, gears, limits, strict=True):
+        if name == "gravity_turned":
+            break
+        if name == "servo_as_motor":
+            actuator.set_to_motor()
+        else:  # a servo that would give the largest torque at half a radian
+            actuator.set_to_position(kp=float(2 * gear * limit), kv=float(0.1 * gear * limit))
+        actuator.gear, actuator.ctrllimited = np.eye(6)[0], mujoco.mjtLimited.mjLIMITED_FALSE
+    if name == "motor_as_servo":  # torques in N·m
+        episodes = [replace(e, actions=(e.actions * gears).astype(np.float32)) for e in data]
+        data = replace(data, episodes=tuple(episodes))
+    if name == "gravity_turned":
+        rng, g = np.random.default_rng([seed, 7]), 9.81
+        turned = [v for v in np.concatenate([np.eye(3), -np.eye(3)]) if v[2] > -0.5]
+        spec.option.gravity = g * turned[int(rng.integers(len(turned)))]
+    return data
+
+
+def model_restored(report: FaultReport, faulty: mujoco.MjSpec, original: mujoco.MjModel, name: str) -> bool:
+    """Whether the mended model is like the one without the fault: gravity, or the kind and strength of its drives."""
+    model = report.fixed_model(faulty).compile()
+    if name == "gravity_turned":
+        return bool(np.allclose(model.opt.gravity, original.opt.gravity, atol=0.05))
+    strength, true = (-m.actuator_biasprm[:, 1] for m in (model, original))
+    if name == "motor_as_servo":
+        return bool((strength == 0).all())
+    return bool((np.abs(np.log(np.maximum(strength, 1e-9) / true)) < np.log(1.5)).all())
 
 
 def planted(data: Trajectories, model: mujoco.MjModel, name: str, seed: int) -> tuple[Trajectories, str]:
@@ -211,8 +269,16 @@ def restored(report: FaultReport, faulty: Trajectories, original: Trajectories, 
     fixed = report.fixed(faulty)
     if abs(fixed.dt / original.dt - 1) > 0.01:
         return False
+    if name == "lost_samples":
+        steps, found = (sum(map(len, d)) for d in (original, faulty))
+        return (
+            abs(sum(int(x.sum()) for x in report.sequence.lost) / (steps - found) - 1) < 0.3
+        )  # those lost at rest do not show
+    if name == "wrong_first_sample":
+        return all(len(e) == len(o) - 2 for e, o in zip(fixed, original, strict=True))
     first = report.mend.margins[0]
-    allowed = {"joint_zero": 0.05, "repeated_samples": 0.3}.get(name, 1e-3)
+    allowed = {"joint_zero": 0.05, "repeated_samples": 0.3, "reordered_samples": 1e-3}.get(name, 1e-3)
+    most = {"repeated_samples": 0.9, "reordered_samples": 0.95}.get(name, 1.0)
     for e, o in zip(fixed, original, strict=True):
         n = len(e)
         for now, then in (
@@ -222,7 +288,7 @@ def restored(report: FaultReport, faulty: Trajectories, original: Trajectories, 
         ):
             size = 1.0 if name == "joint_zero" else np.abs(then).max() + 1e-9
             off = np.abs(now - then) / size
-            if np.quantile(off, 0.9 if name == "repeated_samples" else 1.0) > allowed:
+            if np.quantile(off, most) > allowed:
                 return False
     return True
 
@@ -231,7 +297,11 @@ def look(case: str, seed: int, name: str, folder: Path) -> dict:
     """One row: plant (nothing for an empty name), look, compare."""
     nominal, measured = generate(CASES[case], seed, folder / case / f"seed{seed}")
     spec, original = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
-    faulty, target = planted(original, spec.compile(), name, seed) if name else (original, "")
+    nominal_model = spec.compile()
+    if name in MODELS_AT_FAULT:
+        faulty, target = faulty_model(spec, original, name, seed), "*"
+    else:
+        faulty, target = planted(original, nominal_model, name, seed) if name else (original, "")
     started = time.perf_counter()
     report = find_deployment_faults(spec, faulty, seed)
     seconds = time.perf_counter() - started
@@ -246,7 +316,10 @@ def look(case: str, seed: int, name: str, folder: Path) -> dict:
     if not name:
         return row | {"false_alarm": int(bool(kinds))}
     kind = KINDS.get(name, name)
-    back = restored(report, faulty, original, name)
+    if name in MODELS_AT_FAULT:
+        back = model_restored(report, spec, nominal_model, name)
+    else:
+        back = restored(report, faulty, original, name)
     what, _, how = kind.partition("_")
     named = len(report.faults) == 1 and any(what in w and how in w for w in report.faults[0].could_also_be)
     return row | {"right": int(set(kinds) == {kind} and back), "named": int(named), "restored": int(back)}
@@ -256,12 +329,17 @@ def wanted(models: Sequence[str], seeds: Sequence[int], plants: Sequence[str]) -
     """Case, seed and fault of all rows."""
     rows = [(c, s, "") for c, case in CASES.items() if case.model in models for s in seeds if "" in plants]
     for model in models:
-        few = MODEL_ACTUATORS.get(model, 2) < 2
-        names = [p for p in plants if p and not (few and p in NEED_TWO)]
+        few, weightless = MODEL_ACTUATORS.get(model, 2) < 2, model in LEVEL
+        left_out = {*(NEED_TWO if few else ()), *(("gravity_turned",) if weightless else ())}
+        left_out |= {p for p, servos in MODELS_AT_FAULT.items() if servos is not None and servos != (model in SERVOS)}
+        names = [p for p in plants if p and p not in left_out]
         rows += [(c, s, p) for c in BASES[model] for s in seeds for p in names]
     return rows
 
 
+SERVOS = ("servo_arm",)
+LEVEL = ("reacher", "swimmer")
+"""Models that move in a level plane, or in water: gravity does not show."""
 MODEL_ACTUATORS = {"inverted_pendulum": 1, "double_pendulum": 1}
 
 
@@ -271,7 +349,7 @@ def summarise(rows: list[dict]) -> str:
     for part in ("tuned", "held out"):
         own = [r for r in rows if r["part"] == part]
         lines.append(f"--- {part}: {', '.join(sorted({r['model'] for r in own}))}")
-        for name in (*PLANTS, *PERIODS):
+        for name in (*PLANTS, *PERIODS, *MODELS_AT_FAULT):
             some = [r for r in own if r["planted"] == name]
             if some:
                 right = sum(int(r["right"]) for r in some)
@@ -293,7 +371,9 @@ def main() -> None:
     p.add_argument("--models", nargs="+", choices=list(BASES), default=list(BASES), metavar="MODEL")
     p.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES), metavar="CASE")
     p.add_argument("--seeds", nargs="+", type=int, default=[0, 1])
-    p.add_argument("--plants", nargs="*", default=["", *PLANTS, *PERIODS], metavar="FAULT", help="'' for none")
+    p.add_argument(
+        "--plants", nargs="*", default=["", *PLANTS, *PERIODS, *MODELS_AT_FAULT], metavar="FAULT", help="'' for none"
+    )
     p.add_argument("--again", action="store_true", help="repeat rows that are there")
     p.add_argument("--summary", action="store_true", help="only print what is there")
     p.add_argument("--data", type=Path, default=ROOT / "runs" / "undeclared")

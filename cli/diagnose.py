@@ -9,6 +9,10 @@ Before any physics the recordings are tested for deployment faults: channels in 
 another sign, unit, zero or clock, a wrong control period, repeated samples. They are reported with
 their cure; --fix takes them out, writes DIR/mended.h5 and goes on with that.
 
+Stretches in which no model can hold (a push, a catch, motors off) are found and left out, or given by
+--only and --without: comparisons of time [s], episode, actions[0] or any recorded channel. With several
+files the common answer is fitted on all, and what differs between them is told.
+
 With --run, recordings of images are read by the estimator of a run of idapt fit. Where that cannot
 tell how fast things move, no windows are replayed: the recordings' commands are played from resets,
 and effects are judged by how well that forecasts what is read (minutes, not seconds).
@@ -18,8 +22,7 @@ See docs/guide/diagnose.md and docs/guide/effects_from_images.md.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,17 +31,13 @@ import mujoco
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tqdm import tqdm
-from tqdm.contrib.logging import logging_redirect_tqdm
 
-from cli.arguments import keep_inputs, parser, show_bar
+from cli.arguments import keep_inputs, parser
 from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
-from datamodules import Trajectories, read_trajectories, write_trajectories
-from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
+from cli.diagnose_recordings import diagnose_recordings, progress_bar
 from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects import Effect, effect_from_dict
@@ -46,10 +45,11 @@ from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
+from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
-from idapt_pl.report.fault_section import fault_sentences
 from idapt_pl.report.forecast_page import forecast_verdict
+from idapt_pl.report.law_section import law_sentences
 from idapt_pl.run import Run
 
 EXAMPLES = """examples:
@@ -57,6 +57,9 @@ EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fit 0 1 2 --hold-out 3
   idapt diagnose --model nominal.xml --data measured.h5 --out again --effects diagnosis/effects.yaml
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --fix
+  idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis --only '0.5 < time < 4' --without 'estop == 1'
+  idapt diagnose --model nominal.xml --data monday.h5 tuesday.h5 friday.h5 --out week
+  idapt diagnose --model robot.urdf --actuators position:kp=30,kv=1 --data measured.h5 --out diagnosis
   idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
       --candidates joint_damping joint_frictionloss joint_stribeck
   idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
@@ -69,8 +72,8 @@ EXAMPLES = """examples:
 """
 
 WRITTEN = (
-    "report.html", "report.json", "effects.yaml", "patched.xml", "unrepaired.xml", "looks.yaml", "looks.png",
-    "mended.h5",
+    "report.html", "report.json", "settings.md", "effects.yaml", "patched.xml", "unrepaired.xml",
+    "looks.yaml", "looks.png", "mended.h5",
 )  # fmt: skip
 """Files in the folder that a diagnosis writes."""
 
@@ -78,13 +81,32 @@ WRITTEN = (
 def command_line() -> argparse.ArgumentParser:
     """The options of ``idapt diagnose``."""
     p = parser("diagnose", __doc__, EXAMPLES)
-    p.add_argument("--model", type=Path, help="nominal model (MJCF)")
+    p.add_argument("--model", type=Path, help="nominal model (MJCF or URDF)")
+    p.add_argument(
+        "--actuators",
+        metavar="KIND",
+        help="of a model that has none: motor (torques), position:kp=30,kv=1, velocity:kv=2, none, or a YAML file",
+    )
     p.add_argument("--run", type=Path, help="instead of --model: a run of idapt fit, whose estimator reads images")
-    p.add_argument("--data", type=Path, required=True, help="trajectory file with qpos (or images) and actions")
+    p.add_argument(
+        "--data",
+        type=Path,
+        required=True,
+        nargs="+",
+        metavar="FILE",
+        help="trajectory file with qpos (or images) and actions; with several, what differs between them is told",
+    )
     p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the report")
     p.add_argument(
         "--fix", action="store_true", help="take deployment faults out of the recordings first (DIR/mended.h5)"
     )
+    p.add_argument(
+        "--only", action="append", default=[], metavar="CONDITION", help="use these stretches alone: 'state == 2'"
+    )
+    p.add_argument(
+        "--without", action="append", default=[], metavar="CONDITION", help="leave these stretches out: 'estop == 1'"
+    )
+    p.add_argument("--keep-all", action="store_true", help="do not look for stretches in which the model cannot hold")
     p.add_argument("--effects", type=Path, metavar="YAML", help="effects known already, applied throughout")
     p.add_argument("--fit", type=int, nargs="+", metavar="EPISODE", help="episodes to fit on (default: the others)")
     p.add_argument(
@@ -102,6 +124,7 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
+    p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
     return p
@@ -116,7 +139,7 @@ def main(args: list[str]) -> int:
     if o.out.exists() and not o.out.is_dir():
         raise ValueError(f"{o.out}: --out is a file; name a folder")
     for name in WRITTEN:
-        keep_inputs(o.out / name, [o.model, o.data, o.effects])
+        keep_inputs(o.out / name, [o.model, *o.data, o.effects])
     keep_inputs(o.out, [o.run])
     check_ranges("", vars(o), {"seed": Range(0, 2**31 - 1), "threads": Range(1, 1024)})
     if (o.model is None) == (o.run is None):
@@ -125,55 +148,38 @@ def main(args: list[str]) -> int:
         p.error("--looks compares images with what the source of a run shows: give --run")
     if o.fix and o.run is not None:
         p.error("--fix mends recordings of positions: give --model, not --run")
+    if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
+        p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
-        model, trajectories, how = read_model(o.model), read_trajectories(o.data), {}
-    else:
-        run = Run.open(o.run)
-        if o.looks:
-            report_visual_effects(run, o.data, o.out, o.seed)
-        images = read_images(run, o.data)
-        source = run.worlds.source_domain
-        model, trajectories, how = source.spec(), images.readings.target, images.diagnose_arguments(source)
+        print_diagnosis(diagnose_recordings(o, read_effects), o.out)
+        return 0
+    return diagnose_run(o)
+
+
+def diagnose_run(o: argparse.Namespace) -> int:
+    """`idapt diagnose --run`: recordings of images."""
+    run, (data,) = Run.open(o.run), o.data
+    if o.looks:
+        report_visual_effects(run, data, o.out, o.seed)
+    images = read_images(run, data)
+    source = run.worlds.source_domain
+    model, how = source.spec(), images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()
-    if o.run is not None and images.readings.calibration.velocities_unreliable:
+    if images.readings.calibration.velocities_unreliable:
         print_forecast_diagnosis(diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
-    faults = None
     try:
-        if o.run is None:
-            trajectories, faults = without_faults(model, trajectories, o)
         with progress_bar() as progress:
             diagnosis = diagnose(
-                model, trajectories, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads, **how,
+                model, images.readings.target, declared, o.fit, o.hold_out, o.candidates, o.seed,
+                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
+                laws=not o.no_laws, **how,
             )  # fmt: skip
     except UnusableData as error:
-        raise ValueError(f"{o.data}: {error}") from None
-    fixed = o.fix and faults is not None and bool(faults.faults)
-    write_diagnosis(diagnosis, o.out, (o.model or o.run).name, o.data.name, faults, fixed)
-    if fixed:
-        write_trajectories(o.out / "mended.h5", trajectories)
+        raise ValueError(f"{data}: {error}") from None
+    write_diagnosis(diagnosis, o.out, o.run.name, data.name)
     print_diagnosis(diagnosis, o.out)
     return 0
-
-
-def without_faults(model: mujoco.MjSpec, data: Trajectories, o: argparse.Namespace) -> tuple[Trajectories, FaultReport]:
-    """Test for deployment faults and say what was found; with ``--fix``, the mended recordings.
-
-    Raises:
-        UnusableData: the recordings do not fit the model.
-        ValueError: an episode is too short for a shift that would mend it.
-    """
-    with progress_bar() as progress:
-        faults = find_deployment_faults(model, data, o.seed, progress)
-    for sentence in fault_sentences(faults, o.fix):
-        Console().print(escape(sentence), soft_wrap=True, highlight=False)
-    if not o.fix:
-        return data, faults
-    try:
-        return faults.fixed(data), faults
-    except ValueError as error:
-        raise ValueError(f"{o.data}: --fix: {error}") from None
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
@@ -210,20 +216,6 @@ def read_effect(entry: Any) -> Effect:
     return effect_from_dict(entry)
 
 
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar for the diagnosis to report to."""
-    layout = "{desc:<22} {percentage:3.0f}% |{bar}| {elapsed}"
-    with tqdm(total=100, bar_format=layout, leave=False, disable=not show_bar()) as bar, logging_redirect_tqdm():
-
-        def report(what: str, done: float) -> None:
-            bar.set_description_str(what, refresh=False)
-            bar.n = max(bar.n, round(100 * done))
-            bar.refresh()
-
-        yield report
-
-
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     """The verdict, the errors, the effects, and where the rest is."""
     result, model = diagnosis.result, diagnosis.sim.model
@@ -234,11 +226,16 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
         errors.add_row(name, format_number(value), what)
     tables = [errors, *effects_tables(result.effects, model)]
     notes = {"the rest": result.signature, "next": result.next_experiment}
-    print_findings(verdict_in_words(result, model), tables, out, notes)
+    print_findings([*verdict_in_words(result, model), *more_sentences(result)], tables, out, notes)
     if unsaid := repair_model(diagnosis.sim.spec, diagnosis.effects, out).unsaid:
         names = ", ".join(phrase_at(e.name, e.target) for e in unsaid)
         words = f"not in patched.xml, as MJCF has no words for it: {escape(names)}"
         Console().print(words, soft_wrap=True)
+
+
+def more_sentences(result: DiagnosisResult) -> list[str]:
+    """What changes, and laws for what no effect explains."""
+    return [*change_sentences(result.changes), *law_sentences(result.laws)]
 
 
 def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:
@@ -256,8 +253,8 @@ def print_findings(verdict: Sequence[str], tables: Sequence[Table], out: Path, n
     for name, text in notes.items():
         if text:
             console.print(f"{name}: {escape(text)}", soft_wrap=True, highlight=False)
-    console.print(f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model",
-                  soft_wrap=True, highlight=False)  # fmt: skip
+    told = f"{escape(str(out / 'report.html'))} has the details, patched.xml beside it the repaired model"
+    console.print(told, soft_wrap=True, highlight=False)
 
 
 def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> list[Table]:

@@ -81,8 +81,8 @@ def diagnose_images_by_forecasts(
     """
     if o.fit or o.hold_out:
         raise ValueError(
-            f"{o.run}: its sensor cannot tell how fast things move, so effects are judged by forecasts of {o.data}'s "
-            "first episodes, and by none that is held out: leave --fit and --hold-out away"
+            f"{o.run}: its sensor cannot tell how fast things move, so effects are judged by forecasts of "
+            f"{o.data[0]}'s first episodes, and by none that is held out: leave --fit and --hold-out away"
         )
     worlds, started = run.worlds, time.perf_counter()
     options = DiscoverySettings(True, tuple(o.candidates or DEFAULT_CANDIDATES), o.max_effects)
@@ -95,9 +95,9 @@ def diagnose_images_by_forecasts(
             return worlds.image_env(domain, num_envs)
 
         result = diagnose_by_forecasts(
-            source, images.sensor, images.G, [o.data], [images.control], options, o.seed, make_env, images.readings
+            source, images.sensor, images.G, o.data, [images.control], options, o.seed, make_env, images.readings
         )
-    names, seconds = (o.run.name, o.data.name), time.perf_counter() - started
+    names, seconds = (o.run.name, o.data[0].name), time.perf_counter() - started
     write_forecast_diagnosis(result, worlds.source_domain, declared, o.out, names, seconds)
     return result
 

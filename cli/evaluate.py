@@ -44,6 +44,11 @@ def main(args: list[str]) -> int:
     values = {"--episodes": o.episodes, "--seed": o.seed, "--physics": o.physics}
     check_ranges("", values, {"--episodes": Range(1, 1e6), "--seed": SEED, "--physics": COUNT_OR_NONE})
     run = Run.open(o.run)
+    if run.config.method.startswith("cc_"):
+        raise ValueError(
+            f"{o.run} is a run of {run.config.method}, whose policy acts on translations of the target: what it "
+            "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
+        )
     if not run.worlds.target.measured:
         name = run.worlds.target.name
         raise ValueError(

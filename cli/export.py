@@ -30,7 +30,7 @@ def main(args: list[str]) -> int:
     p.add_argument("--step", type=int, help="grounding step; default the last that has a policy")
     o = p.parse_args(args)
     run = Run.open(o.run)
-    checkpoint = chosen_checkpoint(o.run, o.step)
+    checkpoint = chosen_checkpoint(run, o.step)
     keep_inputs(o.out, [checkpoint])
     policy = run.load_policy(checkpoint)
     about = {"task": run.config.task, "target": target_name(run.config.target), "seed": run.config.seed}
@@ -47,12 +47,17 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def chosen_checkpoint(folder: Path, step: int | None) -> Path:
-    """The policy of a grounding step.
+def chosen_checkpoint(run: Run, step: int | None) -> Path:
+    """The policy of a grounding step, or that of a run in the source alone.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if there is none, or it has LSTMs.
     """
+    folder, alone = run.folder, run.folder / "step_00/source_policy/final.ckpt"
+    if run.config.modules["policy"]["recurrent"]:
+        raise ValueError(f"{folder}: policies with policy.recurrent cannot be exported; set it to 0 and train again")
+    if run.config.method == "source" and alone.exists() and not step:
+        return alone
     made = sorted(folder.glob("step_*/policy/final.ckpt"))
     names = {int(path.parent.parent.name.removeprefix("step_")): path for path in made}
     if not names:
@@ -63,8 +68,9 @@ def chosen_checkpoint(folder: Path, step: int | None) -> Path:
 
 
 def recorded_stacks(run: Run, checkpoint: Path) -> tuple[np.ndarray, Path]:
-    """Frame stacks of an episode of the target that the run has recorded, (T+1, K, S, S, 3), and its file."""
-    path = max(p for p in run.folder.glob("step_*/target.h5") if p.parent.name <= checkpoint.parent.parent.name)
+    """Frame stacks (T+1, K, S, S, 3) of an episode of the target (or the source, if that is all), and its file."""
+    recordings = [*run.folder.glob("step_*/target.h5"), run.folder / "step_00/source.h5"]  # of one step the target's
+    path = max(p for p in recordings if p.parent.name <= checkpoint.parent.parent.name)
     longest = max(read_all([path]), key=len)
     return FrameStacks([longest], run.config.frame_stack).stacks(np.arange(len(longest))), path
 

@@ -142,16 +142,17 @@ def main(args: list[str]) -> int:
     if cli.config.seed_everything is not False:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
-    grounding = run.grounding  # settings that contradict each other end it here, where nothing is written yet
+    method = run.method  # settings that contradict each other end it here, where nothing is written yet
     with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
         beside = isinstance(run.aside, OtherProcesses)
-        run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))
+        if run.config.method == "idapt":
+            run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))
         run.restore_ledger()
-        evaluations = grounding.run()
+        evaluations = method.run()
         summary = run.evaluation.summary(evaluations)
         if run.config.oracle:
-            train_oracle(grounding)
+            train_oracle(run.grounding)
             summary = run.evaluation.summary(evaluations)
         print_summary(summary, run.folder, write_run_report(run))
     return 0

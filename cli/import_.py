@@ -50,12 +50,12 @@ def main(args: list[str]) -> int:
     """
     o = _options(args)
     if o.draft_map is not None:
-        return draft(o.recordings, o.model, o.draft_map, o.format)
+        return draft(o.recordings, o.model, o.draft_map, o.format, o.actuators)
     if o.out is not None:
         keep_inputs(o.out, [*o.recordings, o.map, o.model])
     mapping, layout = read_mapping(o.map), None
     if o.model is not None:
-        layout = read_layout(o.model)
+        layout = read_layout(o.model, o.actuators)
         mapping = fit_to_model(mapping, layout)
     imported = import_recordings(o.recordings, mapping, layout, o.format, o.repair)
     print_preview(imported, mapping)
@@ -75,7 +75,8 @@ def _options(args: list[str]) -> argparse.Namespace:
     what.add_argument(
         "--draft-map", type=Path, metavar="MAP", help="guess the map from the first recording and --model, and write it"
     )
-    p.add_argument("--model", type=Path, help="MJCF that the recording is checked against and ordered as")
+    p.add_argument("--model", type=Path, help="MJCF or URDF that the recording is checked against and ordered as")
+    p.add_argument("--actuators", metavar="KIND", help="of a model that has none, as of idapt diagnose: motor, ...")
     p.add_argument("--out", type=Path, help="trajectory file to write (HDF5); not needed with --dry-run")
     p.add_argument("--format", choices=FORMATS, help="default: told by the recording's name")
     p.add_argument("--repair", action="store_true", help="drop single rows whose time repeats or goes back")
@@ -90,7 +91,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     return o
 
 
-def draft(paths: list[str], model: Path, out: Path, format: str | None = None) -> int:
+def draft(paths: list[str], model: Path, out: Path, format: str | None = None, actuators: str | None = None) -> int:
     """Guess the map of the first recording, write it, and say what is left to do. Returns the exit code.
 
     Args:
@@ -98,11 +99,12 @@ def draft(paths: list[str], model: Path, out: Path, format: str | None = None) -
         model: MJCF whose joints and actuators are wanted.
         out: the map to write; it must not be there yet.
         format: of the recordings; None: told by their names.
+        actuators: of a model that has none, as the option gives them.
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
     """
-    made = draft_map(paths[0], read_layout(model), format)
+    made = draft_map(paths[0], read_layout(model, actuators), format)
     write_draft(out, made)
     missing = made.missing()
     print(f"{out}: a draft, made of {paths[0]}; read every line of it")
@@ -146,7 +148,7 @@ def import_recordings(
     return replace(imported, notes=imported.notes + notes)
 
 
-def read_layout(path: Path) -> ModelLayout:
+def read_layout(path: Path, actuators: str | None = None) -> ModelLayout:
     """Names, types and ranges of a model's joints and actuators.
 
     What has no name goes by its number, ``joint0`` and ``actuator0``; an actuator rather by its joint's name.
@@ -154,10 +156,10 @@ def read_layout(path: Path) -> ModelLayout:
     Raises:
         RecordingError: if the model cannot be read.
     """
-    from idapt_pl.diagnosis.model import read_model
+    from idapt_pl.robot_files import parse_actuators, read_robot
 
     try:
-        model = read_model(path).compile()
+        model = read_robot(path, None if actuators is None else parse_actuators(actuators)).spec.compile()
     except ValueError as error:
         raise RecordingError(str(error)) from None
     joints = tuple(

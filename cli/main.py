@@ -23,6 +23,7 @@ COMMANDS = {
     "evaluate": "target and source returns of a finished run",
     "export": "the policy of a run as one ONNX file for the robot, and a program that plays it",
     "report": "the story of a run, finished or not, as one HTML page",
+    "sweep": "tasks x targets x methods x seeds from one YAML, here or on a Ray cluster; resumable",
     "diagnose": "find the physical effects that a model lacks, from recordings",
     "excite": "the next recording: the motion that tells a diagnosis's remaining explanations apart",
     "import": "turn recordings (CSV, JSON lines, ROS bags, ULog, ...) into a trajectory file",

@@ -19,13 +19,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     table = Table(title=f"{summary['task']}: source -> {summary['target']} (seed {summary['seed']})")
     table.add_column("policy")
     table.add_column(f"target {summary['metric']}, mean of {summary['episodes']} episodes", justify="right")
-    table.add_row("direct transfer", told(summary["direct_transfer"]))
-    repaired = any(e["step"] == 0 for e in summary["effects"])
-    table.add_row(f"visual grounding{', source repaired' if repaired else ' only'}", told(summary["visual_only"]))
-    for k, value in enumerate(summary["grounded"], 1):
-        same = " (settled)" if k == summary["settled"] else ""
-        table.add_row(f"IDAPT, grounding step {k}{same}", told(value))
-    table.add_row("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
+    for name, value in measured_policies(summary):
+        table.add_row(name, value)
     console = Console()
     console.print(table)
     console.print(
@@ -40,6 +35,22 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
     console.print(f"the story of the run: {report}", soft_wrap=True)
     console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}", soft_wrap=True)
+
+
+def measured_policies(summary: dict) -> list[tuple[str, str]]:
+    """Names and returns of what a run measured, in its order."""
+    oracle = ("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
+    if summary["method"] == "oracle":
+        return [oracle]
+    direct = ("direct transfer", told(summary["direct_transfer"]))
+    if summary["method"] == "source":
+        return [direct, oracle]
+    repaired = any(e["step"] == 0 for e in summary["effects"])
+    rows = [direct, (f"visual grounding{', source repaired' if repaired else ' only'}", told(summary["visual_only"]))]
+    for k, value in enumerate(summary["grounded"], 1):
+        same = " (settled)" if k == summary["settled"] else ""
+        rows.append((f"IDAPT, grounding step {k}{same}", told(value)))
+    return [*rows, oracle]
 
 
 def told(value: float | None) -> str:

@@ -57,7 +57,37 @@ class ReplayBuffer:
         """
         if self.size == 0:
             raise ValueError("the replay buffer is empty: act in the environment before sampling")
-        rows = self._rng.integers(self.size, size=shape)
+        return self._at(self._rng.integers(self.size, size=shape), names)
+
+    def sample_stretches(
+        self, *shape: int, length: int, simulations: int, names: Sequence[str] | None = None
+    ) -> dict[str, torch.Tensor]:
+        """Transitions that follow one another in one simulation; leading dimensions ``shape`` and ``length``.
+
+        They may be of several episodes.
+
+        Args:
+            shape: how many stretches.
+            length: transitions in each.
+            simulations: that act side by side; that many transitions were added at a time.
+            names: of the arrays; None for all.
+
+        Raises:
+            ValueError: if there are fewer than that, or the capacity is no multiple of the simulations.
+        """
+        times = self.size // simulations
+        if times < length or self.capacity % simulations:
+            raise ValueError(
+                f"stretches of {length} transitions of {simulations} simulations cannot be drawn from {self.size} in a "
+                f"buffer of {self.capacity}"
+            )
+        begin = self._rng.integers(times - length + 1, size=shape)[..., None] + np.arange(length)
+        oldest = self._next if self.size == self.capacity else 0
+        return self._at(
+            (oldest + begin * simulations + self._rng.integers(simulations, size=(*shape, 1))) % self.capacity, names
+        )
+
+    def _at(self, rows: np.ndarray, names: Sequence[str] | None) -> dict[str, torch.Tensor]:
         return {name: torch.from_numpy(self._arrays[name][rows]) for name in names or self._arrays}
 
 
@@ -74,7 +104,7 @@ class _ActAndSample(IterableDataset):
         m = self.module
         for _ in range(m.batches):
             m.buffer.add(m.act())
-            batch = {"transitions": m.buffer.sample(m.updates_per_batch, m.batch_size, names=m.names)}
+            batch = {"transitions": m.minibatches()}
             if m.image_batches:
                 batch["images"] = m.buffer.sample(m.image_batches, m.image_batch_size, names=("pixels", "state"))
             yield batch
@@ -92,6 +122,7 @@ class ReplayDataModule(L.LightningDataModule):
         image_batches: minibatches of images with states in a batch, 0 for none.
         image_batch_size: images in one of them.
         names: what a minibatch holds.
+        stretch: transitions that follow one another in place of each, and simulations that act; None for single ones.
     """
 
     def __init__(
@@ -104,11 +135,21 @@ class ReplayDataModule(L.LightningDataModule):
         image_batches: int = 0,
         image_batch_size: int = 32,
         names: Sequence[str] = TRANSITION,
+        stretch: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
+        self.stretch = stretch
         self.act, self.buffer, self.names = act, buffer, names
         self.image_batches, self.image_batch_size = image_batches, image_batch_size
         self.batch_size, self.updates_per_batch, self.batches = batch_size, updates_per_batch, batches
+
+    def minibatches(self) -> dict[str, torch.Tensor]:
+        """Those of one batch."""
+        shape = (self.updates_per_batch, self.batch_size)
+        if self.stretch is None:
+            return self.buffer.sample(*shape, names=self.names)
+        length, simulations = self.stretch
+        return self.buffer.sample_stretches(*shape, length=length, simulations=simulations, names=self.names)
 
     def progress(self) -> dict[str, float]:
         """What acting has achieved, to be logged beside the losses."""

@@ -18,7 +18,6 @@ from idapt_pl.stages.collection import (
     record_source,
     record_target,
     replay_in_source,
-    source_teacher,
 )
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
@@ -70,6 +69,7 @@ class IterativeGrounding:
         schedule: what is done, and for how long.
         effects: whether effects are sought that the source lacks.
         aside: starts what the rest does not wait for: the source policy beside G, measurements beside the next step.
+        randomised: whether policies train in variants of the source within the intervals of the effects that are found.
 
     Raises:
         ValueError: if the exploration needs a teacher and there is none.
@@ -82,10 +82,11 @@ class IterativeGrounding:
         schedule: Schedule,
         effects: DiscoverySettings = NO_DISCOVERY,
         aside: Aside = in_turn,
+        randomised: bool = False,
     ) -> None:
         self.aside = aside
         self.context, self.evaluation, self.schedule = context, evaluation, schedule
-        self.repair = SourceRepair(context, effects, self.record_control)
+        self.repair = SourceRepair(context, effects, self.record_control, randomised)
         self.rollback = Rollback(context.worlds, context.stages, schedule.rollback)
         if schedule.exploration == "rehearse" and not context.teacher.settings.steps:
             raise ValueError(
@@ -174,8 +175,7 @@ class IterativeGrounding:
 
     def explore_target(self) -> Path:
         """D^T: images of the target, from exploration."""
-        if self.schedule.exploration == "rehearse":
-            source_teacher(self.context)  # here, so that its training is a stage and not part of the recording
+        self.explore(0)  # here, so that training who explores is a stage and not part of the recording
         return record_target(self.context, 0, self.explore, self.schedule.images, self.schedule.exploration_horizon)
 
     def explore_source(self) -> Path:
@@ -204,7 +204,7 @@ class IterativeGrounding:
 
     def explore(self, seed: int, num_envs: int = 1) -> Policy:
         """The policy that collects D^S and D^T before there is one for the target."""
-        return explorer(self.context, self.schedule.exploration, seed, num_envs)
+        return explorer(self.context, self.schedule.exploration or "random", seed, num_envs)
 
     def recent(self, data: tuple[Path, ...]) -> tuple[Path, ...]:
         """The data that a grounding step trains P^S and G on."""

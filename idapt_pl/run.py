@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from idapt_pl.baselines.methods import METHODS, Method
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
-from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.modules import AsymmetricSAC, RecurrentSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.randomisation import FOUND
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.run_config import MODULES, RunConfig
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
@@ -67,13 +69,17 @@ class Run:
         processes = usual_processes() if config.render_processes is None else config.render_processes
         worlds = Worlds(
             task, task.domain("source"), make_target(config.target, task), ledger,
-            config.image_size, config.frame_stack, config.view, processes,
+            config.image_size, config.frame_stack, config.view, processes, config.randomisation.distribution(task.name),
+            config.randomisation.variants, config.seed,
         )  # fmt: skip
-        if config.effects.discover or config.labels.members:  # better said before hours of G
+        check_randomisation(config, worlds)
+        check_exploration(config, worlds)
+        if config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
-        if config.oracle and not worlds.target.has_states:
+        if (config.oracle or config.method == "oracle") and not worlds.target.has_states:
             raise ValueError(f"oracle: it would train on the states of {worlds.target.name}, which are not known")
-        check_recordings(worlds.target, config.schedule)
+        if config.method == "idapt":
+            check_recordings(worlds.target, config.schedule)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
@@ -135,13 +141,20 @@ class Run:
     @functools.cached_property
     def evaluation(self) -> Evaluation:
         """What measures it."""
-        return Evaluation(self.worlds, self.context.stages, self.config.episodes, target_name(self.config.target))
+        c = self.config
+        return Evaluation(self.worlds, self.context.stages, c.episodes, target_name(c.target), c.method)
 
     @functools.cached_property
     def grounding(self) -> IterativeGrounding:
         """Algorithm 1, to be run or resumed."""
         c = self.config
-        return IterativeGrounding(self.context, self.evaluation, c.schedule, c.effects, self.aside)
+        found = c.randomisation.ranges == FOUND
+        return IterativeGrounding(self.context, self.evaluation, c.schedule, c.effects, self.aside, found)
+
+    @property
+    def method(self) -> Method:
+        """What the config asks for: Algorithm 1, or a baseline with its settings."""
+        return METHODS[self.config.method](self.grounding)
 
     def load_policy(self, checkpoint: Path) -> AsymmetricSAC:
         """A policy from its checkpoint (weights only, nothing is unpickled)."""
@@ -165,6 +178,41 @@ class Run:
         """What reads states from target images: the newest policy's encoder where that is an estimator, else P^T."""
         G, made = self.load_visual(), sorted(self.folder.glob("step_*/policy/final.ckpt"))
         return self.load_policy(made[-1]).estimator(G) if made else G.estimator
+
+
+def check_randomisation(config: RunConfig, worlds: Worlds) -> None:
+    """Whether what is drawn fits the source, and whether there will be intervals to draw from.
+
+    Raises:
+        ValueError: saying what does not.
+    """
+    ranges = config.randomisation.ranges
+    if ranges == FOUND and not (config.effects.discover and config.method == "idapt"):
+        raise ValueError(
+            "randomisation.ranges is found, but this run finds no effects: set effects.discover: true and method: "
+            "idapt, or give other ranges"
+        )
+    try:
+        worlds.distribution.check(worlds.source_domain)
+    except ValueError as error:
+        where = ranges if isinstance(ranges, str) else "as given"
+        raise ValueError(f"randomisation.ranges ({where}) do not suit {worlds.task.name}: {error}") from None
+
+
+def check_exploration(config: RunConfig, worlds: Worlds) -> None:
+    """Whether there can be a policy that explores.
+
+    Raises:
+        ValueError: saying why not.
+    """
+    kinds = (config.schedule.exploration or "").split("+")
+    if "backwards" in kinds:
+        worlds.task.backwards()
+    if {"backwards", "expert"} & set(kinds) and not worlds.target.has_states and config.method != "source":
+        raise ValueError(
+            f"schedule.exploration: {config.schedule.exploration} acts on true states, which {worlds.target.name} does "
+            "not show. Drive it yourself and give target.recordings, or explore by babble or random"
+        )
 
 
 def check_recordings(target: Target, schedule: Schedule) -> None:
@@ -218,4 +266,6 @@ def module_factories(config: RunConfig) -> ModuleFactories:
     made: dict[str, Callable] = {name: functools.partial(m, **config.modules[name]) for name, m in MODULES.items()}
     for name in ("state_predictor", "visual", "policy"):
         made[name] = functools.partial(made[name], vision=config.vision)
+    if config.modules["policy"]["recurrent"]:
+        made["policy"] = functools.partial(RecurrentSAC, **config.modules["policy"], vision=config.vision)
     return ModuleFactories(**made)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jsonargparse import ArgumentParser, Namespace
 
@@ -15,6 +15,7 @@ from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.modules.ranges import MODULE_RANGES
 from idapt_pl.nets.encoder import Vision
+from idapt_pl.randomisation import RandomisationSettings
 from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stages.distillation import TeacherSettings
@@ -34,11 +35,15 @@ MODULES: dict[str, type] = {
 }
 """What is learned, by its key in a config."""
 
+METHOD_NAMES = ("idapt", "source", "oracle", "cc_state", "cc_image")
+"""What ``idapt fit`` can run (:mod:`idapt_pl.baselines.methods`)."""
+
 SETTINGS: dict[str, type] = {
     "view": View,
     "schedule": Schedule,
     "effects": DiscoverySettings,
     "feeding": BatchSettings,
+    "randomisation": RandomisationSettings,
     "teacher": TeacherSettings,
     "filter": FilterSettings,
     "labels": LabelSettings,
@@ -55,6 +60,7 @@ class RunConfig:
         task: name of the task.
         task_options: of the constructor of a task that is not one of ours.
         target: name of the target domain, or what else it is (:mod:`idapt_pl.targets`).
+        method: what is run: :data:`METHOD_NAMES`.
         seed: root seed; every stage derives its own.
         run_dir: run folder; None for ``runs/<task>_<target>_<seed>``.
         image_size: side of the rendered images, pixels.
@@ -67,6 +73,7 @@ class RunConfig:
         view: the part of the camera's image that is rendered.
         schedule: what Algorithm 1 does, and for how long.
         effects, feeding, teacher: whether effects are sought; sizes of batches and rollouts; a privileged teacher.
+        randomisation: what policies train in, if that is not the source as it is.
         filter: how the policy's filter learns, if it has one.
         labels: how images of the target get states to learn from, if they do.
         vision: how images are looked at.
@@ -76,6 +83,7 @@ class RunConfig:
     task: str
     task_options: dict[str, Any]
     target: str | dict[str, Any]
+    method: str
     seed: int
     run_dir: str | None
     image_size: int
@@ -89,6 +97,7 @@ class RunConfig:
     schedule: Schedule
     effects: DiscoverySettings
     feeding: BatchSettings
+    randomisation: RandomisationSettings
     teacher: TeacherSettings
     filter: FilterSettings
     labels: LabelSettings
@@ -114,6 +123,14 @@ class RunConfig:
             type=dict[str, Any] | str,
             default="hard",
             help="target domain, easy or hard; or {env: MODULE:NAME}, {task: TASK} with what the guide says of them",
+        )
+        parser.add_argument(
+            "--method",
+            type=Literal[METHOD_NAMES],
+            default="idapt",
+            help="Algorithm 1 (idapt), or a baseline with its settings: a policy of the source alone, randomised where "
+            "--randomisation says so (source), or of the target with its reward (oracle), or a policy of the source on "
+            "what is read of the target's images (cc_state) or on the images translated back (cc_image)",
         )
         parser.add_argument("--image_size", type=int, default=100, help="side of the rendered images, pixels")
         parser.add_argument(
@@ -159,6 +176,7 @@ class RunConfig:
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
         made.check_ranges()
         made.check_encoder()
+        made.check_recurrence()
         return made
 
     @classmethod
@@ -205,6 +223,20 @@ class RunConfig:
                     f"{key} is {number} steps for the {self.feeding.num_envs} simulations of feeding.num_envs: "
                     "nothing would be trained. Give at least one step for each, or 0"
                 )
+
+    def check_recurrence(self) -> None:
+        """A recurrent policy learns by SAC alone, in the source.
+
+        Raises:
+            ValueError: if it is to do something else.
+        """
+        policy = self.modules["policy"]
+        if policy["recurrent"] and (self.method != "source" or self.teacher.steps or policy["memory"]):
+            raise ValueError(
+                f"policy.recurrent is {policy['recurrent']}, for policies that SAC trains in the source: set method: "
+                "source, teacher.steps: 0 and policy.memory: 0, as configs/presets/adaptive_rl.yaml does, or "
+                "policy.recurrent: 0"
+            )
 
     def check_encoder(self) -> None:
         """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.

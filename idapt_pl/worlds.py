@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from idapt_pl.effects import WHOLE, Domain, Effect, View
+from idapt_pl.effects.distribution import ALWAYS_THE_SAME, DomainDistribution
 from idapt_pl.envs import ActionMap, BlindTarget, GroundedEnv, ImageEnv, VectorImageEnv, VectorStateEnv
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import ActionTransformation, VisualTransformation
+from idapt_pl.randomisation.settings import draw_variants
 from idapt_pl.targets import Look, SimulatedTarget, Target
 from idapt_pl.tasks import Task
 
@@ -18,7 +20,8 @@ from idapt_pl.tasks import Task
 class Worlds:
     """Makes the environments of a run, all with the same image size and frame stack.
 
-    The source is what its domain says and what :meth:`add_effects` has added since.
+    The source is what its domain says and what :meth:`add_effects` has added since. Where policies train
+    (:meth:`training_source`) it may be randomised: variants of it, drawn from ``distribution`` by ``variant_seed``.
     """
 
     task: Task
@@ -29,6 +32,9 @@ class Worlds:
     frame_stack: int
     view: View = WHOLE
     render_processes: int = 0
+    distribution: DomainDistribution = ALWAYS_THE_SAME
+    variant_count: int = 32
+    variant_seed: int = 0
 
     def add_effects(self, effects: Iterable[Effect]) -> None:
         """Add effects to the source, for all environments made from now on."""
@@ -43,9 +49,22 @@ class Worlds:
         """The source: images, state, reward."""
         return self.image_env(self.source_domain, num_envs)
 
+    @property
+    def variants(self) -> tuple[Domain, ...]:
+        """The worlds that policies train in: variants of the source as it is now; none where that is not randomised."""
+        return draw_variants(self.distribution, self.source_domain, self.variant_count, self.variant_seed)
+
+    def training_source(self, num_envs: int) -> VectorImageEnv:
+        """The source as policies train in it: randomised, if the run's is."""
+        return self.look.simulate(self.task, self.source_domain, num_envs, self.variants)
+
     def source_states(self, num_envs: int) -> VectorStateEnv:
         """The source: state and reward; nothing is rendered."""
         return VectorStateEnv(self.task, self.source_domain, num_envs)
+
+    def training_states(self, num_envs: int) -> VectorStateEnv:
+        """As :meth:`training_source`, with state and reward; nothing is rendered."""
+        return VectorStateEnv(self.task, self.source_domain, num_envs, self.variants)
 
     def grounded(
         self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None

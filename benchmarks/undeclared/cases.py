@@ -328,6 +328,85 @@ _add(
     also=tuple({e, ("joint_damping", "r_shoulder_lift_joint")} for (e,) in ALL_DELAY),
 )
 
+# --- free bodies that are thrown on a floor: no actuator, impacts ----------------------------------------
+
+CUBE, BALL = "toss_cube", "toss_ball"
+OF_ONE = {("contact_friction", "floor")}, {("contact_friction", "cube")}
+
+_add("toss_cube_bounce", CUBE, hidden.contact_law("contact_softness", "damping_ratio", 0.2))
+_add("toss_cube_slippery", CUBE, hidden.contact_law("contact_friction", "sliding", 0.2), numerics=SAME)
+_add("toss_cube_grippy", CUBE, hidden.contact_law("contact_friction", "sliding", 1.2), also=OF_ONE)
+_add("toss_cube_centre", CUBE, hidden.body_com("cube", (0.012, 0.0, -0.006)), also=({("body_inertia", "cube")},))
+_add(
+    "toss_cube_bounce_and_slippery",
+    CUBE,
+    hidden.contact_law("contact_softness", "damping_ratio", 0.3),
+    hidden.contact_law("contact_friction", "sliding", 0.25),
+)
+_add("toss_ball_bounce", BALL, hidden.contact_law("contact_softness", "damping_ratio", 0.12), numerics=SAME)
+_add("toss_ball_rolling", BALL, hidden.contact_law("contact_friction", "rolling", 0.004))
+_add("toss_ball_air", BALL, hidden.fluid("density", 1.2), noise=MODELS[BALL].noise.times(0.4))
+_add("control_toss_cube", CUBE)
+_add("control_toss_ball", BALL, numerics=SAME)
+
+# --- a hobby servo: a motor with a position loop of its own, against gravity ------------------------------
+
+DESK = "desk_servo"
+
+_add("desk_servo_constant", DESK, hidden.motor("servo", constant=0.7))
+_add("desk_servo_resistance", DESK, hidden.motor("servo", resistance=1.6), numerics=SAME)
+_add("desk_servo_damping", DESK, hidden.joint_damping("shaft", 0.4))
+_add("desk_servo_friction", DESK, hidden.joint_frictionloss("shaft", 0.25))
+_add("desk_servo_rotor", DESK, hidden.joint_armature("shaft", 0.04), numerics=SAME)
+_add(
+    "desk_servo_worn",
+    DESK,
+    hidden.motor("servo", constant=0.75),
+    hidden.joint_frictionloss("shaft", 0.2),
+)
+_add(
+    "desk_servo_other",
+    DESK,
+    hidden.motor("servo", constant=0.7),
+    hidden.motor("servo", resistance=1.5),
+    hidden.joint_damping("shaft", 0.2),
+    hidden.joint_frictionloss("shaft", 0.18),
+)
+_add("control_desk_servo", DESK)
+
+# --- held back: written with plausible ranges, and not run before these were settled ----------------------
+
+ROD, DC_ARM, ROTARY = "toss_capsule", "dc_arm", "rotary_pendulum"
+
+_add("toss_capsule_bounce", ROD, hidden.contact_law("contact_softness", "damping_ratio", 0.25))
+_add("toss_capsule_slippery", ROD, hidden.contact_law("contact_friction", "sliding", 0.25))
+_add("toss_capsule_spin", ROD, hidden.contact_law("contact_friction", "torsional", 0.03), numerics=SAME)
+_add("toss_capsule_centre", ROD, hidden.body_com("rod", (0.0, 0.0, 0.02)), also=({("body_inertia", "rod")},))
+_add(
+    "toss_capsule_bounce_and_slippery",
+    ROD,
+    hidden.contact_law("contact_softness", "damping_ratio", 0.2),
+    hidden.contact_law("contact_friction", "sliding", 0.3),
+)
+_add("dc_arm_constant", DC_ARM, hidden.motor("hip", constant=0.7))
+_add("dc_arm_resistance", DC_ARM, hidden.motor("knee", resistance=1.6))
+_add("dc_arm_friction", DC_ARM, hidden.joint_frictionloss("hip", 0.25), numerics=SAME)
+_add("dc_arm_constant_and_friction", DC_ARM, hidden.motor("hip", constant=0.7), hidden.joint_frictionloss("knee", 0.15))
+_add("rotary_gain", ROTARY, hidden.motor_gain("drive", 0.75), also=({("actuator_gain", "*")},))
+_add("rotary_swing_damping", ROTARY, hidden.joint_damping("swing", 0.0004))
+_add("rotary_arm_friction", ROTARY, hidden.joint_frictionloss("arm", 0.004))
+_add("rotary_cogging", ROTARY, hidden.cogging("arm", 0.004, 7), numerics=SAME)
+_add("rotary_delay", ROTARY, hidden.command_delay(0.02), also=({("actuator_delay", "drive")}, {("sensor_delay", "*")}))
+_add(
+    "rotary_friction_and_mass",
+    ROTARY,
+    hidden.joint_frictionloss("arm", 0.004),
+    hidden.body_mass("pendulum", 0.085),
+)
+_add("control_toss_capsule", ROD)
+_add("control_dc_arm", DC_ARM)
+_add("control_rotary", ROTARY)
+
 # --- controls: nothing is hidden -------------------------------------------------------------------------
 
 _add("control_pendulum", PENDULUM, numerics=SAME)

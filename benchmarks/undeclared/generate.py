@@ -124,7 +124,7 @@ class _Episode:
         self.steps = int(rng.integers(*self.settings.steps, endpoint=True))
         self.excitation = excitation(kind, self.steps, self.nominal, self.settings, case.amplitude, rng)
         self.balanced = kind != "low"
-        self.noise = sensor_noise(self.steps + 1, self.nominal, case.noise, rng)
+        self.noise = sensor_noise(self.steps + 1, self.nominal, case.noise, rng)  # of coordinates that only add
         self.read = _reader(self.nominal, self.model, self.sensors)
         self.start()
 
@@ -132,14 +132,17 @@ class _Episode:
         low, high = np.array(self.settings.start).T
         speed = self.settings.start_speed
         qpos, qvel = self.rng.uniform(low, high), self.rng.uniform(-speed, speed, self.nominal.nv)
+        if self.settings.spin:
+            qvel[3:] = self.rng.uniform(-self.settings.spin, self.settings.spin, self.nominal.nv - 3)
+            qpos[3:] = self.rng.normal(size=4)
+            qpos[3:] /= np.linalg.norm(qpos[3:])
         if self.case.still:
             qpos, qvel = (low + high) / 2, np.zeros(self.nominal.nv)
         self.put(qpos, qvel)
 
     def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        for j in range(self.nominal.njnt):
-            joint = self.model.joint(self.nominal.joint(j).name)
-            self.data.qpos[joint.qposadr[0]], self.data.qvel[joint.dofadr[0]] = qpos[j], qvel[j]
+        coordinates, speeds = _addresses(self.nominal, self.model)
+        self.data.qpos[coordinates], self.data.qvel[speeds] = qpos, qvel
 
     def record(self) -> Recording:
         past = [self.read(self.data)] * (self.late + 1)  # the last of them, oldest first
@@ -156,9 +159,10 @@ class _Episode:
         return Recording(np.array(actions), np.array(clean), np.array(measured))
 
     def measure(self, clean: np.ndarray, k: int) -> np.ndarray:
-        seen, quantum = clean + self.noise[k], self.case.noise.quantum
+        nq, nv, quantum, seen = self.nominal.nq, self.nominal.nv, self.case.noise.quantum, clean.copy()
+        mujoco.mj_integratePos(self.nominal, seen[:nq], self.noise[k, :nv], 1.0)
+        seen[nq:] += self.noise[k, nv:]
         if quantum:
-            nq = self.nominal.nq
             seen[:nq] = quantum * np.round(seen[:nq] / quantum)
         return seen
 
@@ -190,11 +194,11 @@ def _reader(
 ) -> Callable[[mujoco.MjData], np.ndarray]:
     """Reads the nominal joints out of the true world, through the hidden sensors: (nq + nv,)."""
     names = [nominal.joint(j).name for j in range(nominal.njnt)]
-    driven = [true.joint(name).id for name in names]
+    coordinates, speeds = _addresses(nominal, true)
     play = [(j, true.joint(name + PLAY).id) for j, name in enumerate(names) if _has_joint(true, name + PLAY)]
 
     def read(data: mujoco.MjData) -> np.ndarray:
-        qpos, qvel = data.qpos[true.jnt_qposadr[driven]], data.qvel[true.jnt_dofadr[driven]]
+        qpos, qvel = data.qpos[coordinates], data.qvel[speeds]
         for j, extra in play:
             qpos[j] += data.qpos[true.jnt_qposadr[extra]]
             qvel[j] += data.qvel[true.jnt_dofadr[extra]]
@@ -203,6 +207,17 @@ def _reader(
         return np.concatenate([qpos, qvel])
 
     return read
+
+
+def _addresses(nominal: mujoco.MjModel, true: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Where the true world has the coordinates and velocities of the nominal joints, (nq,) and (nv,)."""
+    joints = [true.joint(nominal.joint(j).name) for j in range(nominal.njnt)]
+    sizes = [(7, 6) if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE else (1, 1) for joint in joints]
+    at = [
+        np.concatenate([adr + np.arange(size[i]) for adr, size in zip(begin, sizes, strict=True)])
+        for i, begin in enumerate(([j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]))
+    ]
+    return at[0], at[1]
 
 
 def _has_joint(model: mujoco.MjModel, name: str) -> bool:
@@ -238,15 +253,22 @@ def excitation(
 
 
 def sensor_noise(rows: int, nominal: mujoco.MjModel, noise: Noise, rng: np.random.Generator) -> np.ndarray:
-    """White or AR(1) noise of the stated standard deviation, (rows, nq + nv)."""
-    white = rng.standard_normal((rows, nominal.nq + nominal.nv))
+    """White or AR(1) noise of the stated standard deviation, (rows, nv + nv); of rotations it is a vector."""
+    white = rng.standard_normal((rows, nominal.nv + nominal.nv))
     for k in range(1, rows):
         white[k] = noise.correlation * white[k - 1] + np.sqrt(1 - noise.correlation**2) * white[k]
     return white * _std(nominal, noise)
 
 
 def _std(nominal: mujoco.MjModel, noise: Noise) -> np.ndarray:
-    return np.repeat([noise.qpos, noise.qvel], [nominal.nq, nominal.nv])
+    return np.repeat([noise.qpos, noise.qvel], nominal.nv)
+
+
+def _difference(model: mujoco.MjModel, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """One state minus another, (nq + nv,) each, as (nv + nv,)."""
+    apart, nq = np.zeros(model.nv), model.nq
+    mujoco.mj_differentiatePos(model, apart, 1.0, other[:nq], one[:nq])
+    return np.concatenate([apart, one[nq:] - other[nq:]])
 
 
 @dataclass(frozen=True)
@@ -283,10 +305,13 @@ def effect_size(case: Case, seed: int = 0, horizon: int = 5, stride: int = 4) ->
             actions = r.actions[k : k + horizon].astype(float)
             ideal = _predict(same, r.clean[k], actions, skip * case.numerics.divide)
             plain = _predict(nominal, r.clean[k], actions, skip)
-            noisy = _predict(nominal, r.clean[k] + std * rng.standard_normal(len(std)), actions, skip)
-            effect.append((ideal - r.clean[k + horizon]) / std)
-            numerics.append((ideal - plain) / std)
-            noise.append((noisy - plain) / std)
+            start, moved = r.clean[k].copy(), std * rng.standard_normal(len(std))
+            mujoco.mj_integratePos(nominal, start[: nominal.nq], moved[: nominal.nv], 1.0)
+            start[nominal.nq :] += moved[nominal.nv :]
+            noisy = _predict(nominal, start, actions, skip)
+            effect.append(_difference(nominal, ideal, r.clean[k + horizon]) / std)
+            numerics.append(_difference(nominal, ideal, plain) / std)
+            noise.append(_difference(nominal, noisy, plain) / std)
     rms = lambda x, axis=None: np.sqrt(np.mean(np.square(x), axis=axis))  # noqa: E731
     seconds = sum(len(r.actions) for r in recordings) * control_period(case.model)
     return EffectSize(rms(effect), rms(effect, 0).max(), np.median(rms(effect, 1)), rms(numerics), rms(noise), seconds)

@@ -217,6 +217,33 @@ def contact_softness(time_constant: float) -> Part:
     return Part(Truth("contact_softness", "*", "time_constant", time_constant), edit)
 
 
+def contact_law(effect: str, parameter: str, value: float) -> Part:
+    """Every contact alike: ``bounce`` (damping ratio below 1), ``torsional`` or ``rolling`` friction (m)."""
+    place = {"sliding": 0, "torsional": 1, "rolling": 2}
+
+    def edit(root: ET.Element) -> None:
+        for element in root.find("worldbody").iter("geom"):
+            if effect == "contact_softness":
+                element.set("solref", f"0.02 {value}")
+            else:
+                numbers = element.get("friction", "1 0.005 0.0001").split()
+                numbers[place[parameter]] = str(value)
+                element.set("friction", " ".join(numbers))
+
+    return Part(Truth(effect, "*", parameter, value), edit)
+
+
+def motor(actuator: str, constant: float = 1.0, resistance: float = 1.0) -> Part:
+    """A direct-current motor whose torque constant or resistance is another, in multiples; one of them must be 1."""
+    attribute, factor = ("motorconst", constant) if constant != 1.0 else ("resistance", resistance)
+    name = {"motorconst": "motor_constant", "resistance": "motor_resistance"}[attribute]
+
+    def edit(root: ET.Element) -> None:
+        _scale(_actuator(root, actuator), attribute, factor)
+
+    return Part(Truth(name, actuator, "factor", factor), edit)
+
+
 def fluid(parameter: str, value: float) -> Part:
     """A medium; parameter is ``viscosity`` (Pa·s) or ``density`` (kg/m³)."""
 

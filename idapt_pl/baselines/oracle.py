@@ -12,7 +12,7 @@ from idapt_pl.grounding import IterativeGrounding
 from idapt_pl.rl.collect import collect
 from idapt_pl.run_folder.interactions import ORACLE, ORACLE_EVALUATION, oracle_interactions
 from idapt_pl.stages.policy import fit_policy
-from idapt_pl.stages.schedule import length_of
+from idapt_pl.stages.schedule import policy_steps
 from idapt_pl.stages.state_predictor import fit_P_S
 
 
@@ -27,8 +27,7 @@ def train_oracle(grounding: IterativeGrounding) -> dict:
     """
     c, schedule = grounding.context, grounding.schedule
     worlds, stages = c.worlds, c.stages
-    steps = length_of(schedule.source_policy) + length_of(schedule.pretrain.policy)
-    steps += length_of(schedule.grounding_steps) * length_of(schedule.finetune.policy)
+    steps = policy_steps(schedule)
 
     def make_env(device: torch.device) -> VectorEnv:
         return worlds.rewarded_target(c.batches.num_envs)

@@ -14,6 +14,7 @@ import numpy as np
 
 from idapt_pl.deployment_faults.forecast import RecordingForecasts, Signals, Starts, forecast, gather
 from idapt_pl.deployment_faults.mend import Mend
+from idapt_pl.deployment_faults.model_mend import mended_model
 
 FURTHEST = 16
 """Shifts that are tried, in control steps to either side."""
@@ -55,7 +56,7 @@ def measure_influence(forecaster: RecordingForecasts, mend: Mend, starts: Starts
     """
     signals, first = forecaster.signals(mend), mend.margins[0]
     at = starts.row - first
-    need, response = one_step(forecaster.model, signals, starts.episode, at)
+    need, response = one_step(mended_model(forecaster.model, mend), signals, starts.episode, at)
     nuisance = Nuisance.at(*(gather(signals, n, starts.episode, at) for n in ("qpos", "qvel")))
     need, response = in_usual_units(nuisance.without(need), response)
     # rows of all shifts must exist in every episode: beyond its ends the first and last command stand

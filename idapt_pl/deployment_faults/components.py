@@ -46,6 +46,8 @@ def faults_of(mend: Mend, model: mujoco.MjModel, measured: bool, period: float =
         *command_scale_parts(mend, model),
         *zero_parts(mend, joints),
         *clock_parts(mend, model, joints, period),
+        *drive_parts(mend, model),
+        *gravity_part(mend),
     ]
 
 
@@ -148,3 +150,25 @@ def clock_parts(mend: Mend, model: mujoco.MjModel, joints: ScalarJoints, period:
         left = tuple(0 if s == late else s for s in mend.v_late)
         fault = DeploymentFault(FaultKind.VELOCITY_CLOCK, where, round(late * dt, 6), "s")
         yield FaultPart(fault, replace(mend, v_late=left), False)
+
+
+def drive_parts(mend: Mend, model: mujoco.MjModel) -> Iterator[FaultPart]:
+    """Drives of another kind than in the model."""
+    changed = [i for i, d in enumerate(mend.drives) if d is not None]
+    if not changed:
+        return
+    drives = [d for d in mend.drives if d is not None]
+    names = tuple(name_of(model, i) for i in changed)
+    servos = any(d[1] for d in drives)
+    kind = FaultKind.SERVO_AS_MOTOR if servos else FaultKind.MOTOR_AS_SERVO
+    told = tuple(f"kp {d[0]:.3g} kv {-d[2]:.3g}" if servos else "gain 1" for d in drives)
+    yield FaultPart(DeploymentFault(kind, names, told), replace(mend, drives=()), True)
+
+
+def gravity_part(mend: Mend) -> Iterator[FaultPart]:
+    """Gravity along another axis."""
+    if mend.gravity is not None:
+        told = tuple(f"{g:.4g}" for g in mend.gravity)
+        yield FaultPart(
+            DeploymentFault(FaultKind.GRAVITY_TURNED, ("*",), told, "m/s²"), replace(mend, gravity=None), True
+        )

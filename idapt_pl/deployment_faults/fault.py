@@ -11,6 +11,8 @@ import mujoco
 
 from datamodules import Trajectories
 from idapt_pl.deployment_faults.mend import Mend
+from idapt_pl.deployment_faults.model_mend import mended_spec
+from idapt_pl.deployment_faults.sequence import SequenceFaults, without_sequence_faults
 from idapt_pl.deployment_faults.stale import without_stale_rows
 
 
@@ -34,6 +36,12 @@ class FaultKind(StrEnum):
     COMMAND_SIGN = "command_sign"
     COMMAND_UNIT = "command_unit"
     COMMAND_CLOCK = "command_clock"
+    SERVO_AS_MOTOR = "servo_as_motor"
+    MOTOR_AS_SERVO = "motor_as_servo"
+    GRAVITY_TURNED = "gravity_turned"
+    LOST_SAMPLES = "lost_samples"
+    REORDERED_SAMPLES = "reordered_samples"
+    WRONG_FIRST_SAMPLE = "wrong_first_sample"
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,7 @@ class DeploymentFault:
     def value(self) -> str:
         """The estimate in words."""
         if isinstance(self.estimate, tuple):
-            return ", ".join(self.estimate)
+            return ", ".join(self.estimate) + (f" {self.unit}" if self.unit else "")
         return f"{self.estimate:.4g}" + (f" {self.unit}" if self.unit else "")
 
     @property
@@ -81,6 +89,12 @@ class DeploymentFault:
             FaultKind.CONTROL_PERIOD: "the control period is wrong",
             FaultKind.COMMAND_CLOCK: "commands and measurements are shifted in time",
             FaultKind.VELOCITY_CLOCK: "velocities and positions are shifted in time",
+            FaultKind.SERVO_AS_MOTOR: "commands are targets of servos, but the model has motors",
+            FaultKind.MOTOR_AS_SERVO: "commands are torques, but the model has servos",
+            FaultKind.GRAVITY_TURNED: "the base, and so gravity, is turned by 90 or 180 degrees",
+            FaultKind.LOST_SAMPLES: "samples are missing, and time goes on as if they were not",
+            FaultKind.REORDERED_SAMPLES: "samples are exchanged with the next one",
+            FaultKind.WRONG_FIRST_SAMPLE: "episodes begin with samples that are no measurements",
         }
         named = {
             "order": f"{what} columns are in another order",
@@ -96,6 +110,18 @@ class DeploymentFault:
         match self.kind:
             case FaultKind.REPEATED_SAMPLES:
                 return "read the sensors at the control period; until then, interpolate"
+            case FaultKind.LOST_SAMPLES:
+                return "record time stamps; until then, insert the time and leave these steps out"
+            case FaultKind.REORDERED_SAMPLES:
+                return "sort by the sensors' own time stamps; until then, exchange them back"
+            case FaultKind.WRONG_FIRST_SAMPLE:
+                return "begin recording with the first message; until then, leave these samples out"
+            case FaultKind.SERVO_AS_MOTOR:
+                return f"give the model position servos ({self.value}), or log torques"
+            case FaultKind.MOTOR_AS_SERVO:
+                return "give the model motors, or log the servos' targets"
+            case FaultKind.GRAVITY_TURNED:
+                return f"set gravity to {self.value} in the model, or turn its base"
             case FaultKind.CONTROL_PERIOD:
                 return f"multiply dt and time stamps by {self.value}"
             case FaultKind.JOINT_ZERO:
@@ -131,8 +157,9 @@ class FaultReport:
 
     Attributes:
         faults: that are certain.
-        mend: what takes them out, but for repeated samples.
+        mend: what takes them out, but for samples that are repeated, lost, out of order or not there yet.
         repeats: whether there are repeated samples.
+        sequence: what else is wrong with the rows.
         model: the nominal model.
         runtime_s: how long the tests took.
     """
@@ -140,6 +167,7 @@ class FaultReport:
     faults: tuple[DeploymentFault, ...]
     mend: Mend
     repeats: bool
+    sequence: SequenceFaults
     model: mujoco.MjModel
     runtime_s: float
 
@@ -153,7 +181,11 @@ class FaultReport:
             return data
         if self.repeats:
             data, _ = without_stale_rows(self.model, data)
-        return self.mend.apply(self.model, data)
+        return self.mend.apply(self.model, without_sequence_faults(data, self.sequence))
+
+    def fixed_model(self, model: mujoco.MjSpec) -> mujoco.MjSpec:
+        """The nominal model, where the fault is in its drives or in which way is down: another one."""
+        return mended_spec(model, self.mend)
 
     def to_dict(self, fixed: bool) -> dict[str, Any]:
         """As in ``report.json``; ``fixed`` where the rest of the report is of the mended recording."""

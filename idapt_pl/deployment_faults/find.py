@@ -12,18 +12,21 @@ import numpy as np
 from datamodules import Trajectories
 from idapt_pl.deployment_faults.commands import Influence, measure_influence
 from idapt_pl.deployment_faults.components import faults_of
+from idapt_pl.deployment_faults.drives import drive_hypotheses, without_servo
 from idapt_pl.deployment_faults.fault import DeploymentFault, FaultKind, FaultReport
 from idapt_pl.deployment_faults.forecast import Gain, RecordingForecasts, Starts, gain_between
 from idapt_pl.deployment_faults.hypotheses import (
     Hypothesis,
     command_hypotheses,
     first_of_each,
+    gravity_hypotheses,
     joint_hypotheses,
     name_of,
     offset_hypotheses,
 )
 from idapt_pl.deployment_faults.mend import Mend, put
 from idapt_pl.deployment_faults.offsets import offset_interval, refine_offset, small_offset
+from idapt_pl.deployment_faults.sequence import SequenceFaults, find_sequence_faults, without_sequence_faults
 from idapt_pl.deployment_faults.stale import without_stale_rows
 from idapt_pl.deployment_faults.velocities import velocity_mend
 from idapt_pl.diagnosis.data import measured_signals
@@ -49,6 +52,14 @@ SMALL_DELAY, SMALL_DELAY_STEPS = 0.1, 3
 
 FEWEST_STARTS = 24
 """Forecasts below which nothing is tested but repeated samples."""
+
+
+SAID_OTHERWISE = {
+    FaultKind.SERVO_AS_MOTOR: "servos read as motors",
+    FaultKind.MOTOR_AS_SERVO: "motors read as servos",
+    FaultKind.GRAVITY_TURNED: "direction of gravity",
+}
+"""What hypotheses are called whose faults are not of a channel."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +125,9 @@ def find_deployment_faults(
     found: list[DeploymentFault] = []
     if repeats:
         found.append(repeated_samples(repeats, sum(len(e) + 1 for e in trajectories)))
+    sequence = find_sequence_faults(compiled, data)
+    found += sequence_faults(sequence, data)
+    data = without_sequence_faults(data, sequence)
     mend = Mend.nothing(compiled)
     search = FaultSearch.of(compiled, data, measured, 1.0, seed) if 0 < data.dt < np.inf else None
     if search and min(len(search.fit), len(search.held_out)) >= FEWEST_STARTS:
@@ -121,12 +135,24 @@ def find_deployment_faults(
         search = FaultSearch.of(compiled, data, measured, mend.period, seed + 1)
         mend = keep_certain(search, mend)
         found += measured_faults(search, mend, others)
-    return FaultReport(tuple(found), mend, repeats > 0, compiled, round(time.perf_counter() - started, 2))
+    return FaultReport(tuple(found), mend, repeats > 0, sequence, compiled, round(time.perf_counter() - started, 2))
 
 
 def repeated_samples(count: int, rows: int) -> DeploymentFault:
     """The fault of samples that repeat the one before."""
     return DeploymentFault(FaultKind.REPEATED_SAMPLES, ("*",), round(count / rows, 4), "share of the samples")
+
+
+def sequence_faults(sequence: SequenceFaults, data: Trajectories) -> list[DeploymentFault]:
+    """The faults of rows that are lost, out of order or not there yet."""
+    rows = sum(len(e) + 1 for e in data)
+    lost, swapped, started = sequence.counts
+    told = (
+        (FaultKind.REORDERED_SAMPLES, swapped, swapped / rows, "share of the samples"),
+        (FaultKind.LOST_SAMPLES, lost, lost / (rows + lost), "share of the samples"),
+        (FaultKind.WRONG_FIRST_SAMPLE, started, max(sequence.first, default=0), "samples"),
+    )
+    return [DeploymentFault(kind, ("*",), round(x, 4), unit) for kind, count, x, unit in told if count]
 
 
 def find_mend(
@@ -167,7 +193,20 @@ def next_mend(search: FaultSearch, mend: Mend) -> tuple[Hypothesis, list[str]] |
     positions = np.concatenate([s.qpos for s in f.signals(mend)])[:, list(f.joints.q)]
     tried += joint_hypotheses(mend, f.model, f.joints, moving, np.ptp(positions, axis=0))
     tried += offset_hypotheses(mend, f.joints, moving)
+    tried += gravity_hypotheses(mend, f.model)
+    tried += certain_drives(search, mend)
     return choose_mend(search, mend, first_of_each(tried), delay)
+
+
+def certain_drives(search: FaultSearch, mend: Mend) -> list[Hypothesis]:
+    """Drives of another kind, where not even a motor with the same gain and friction would forecast as well."""
+    made = []
+    for h in drive_hypotheses(search.forecaster, mend, search.fit):
+        if search.gain(without_servo(h.mend), h.mend, search.held_out).certain(LEAST_GAIN, SIGMAS) or not any(
+            d and d[1] for d in h.mend.drives
+        ):
+            made.append(h)
+    return made
 
 
 def allowed_delay(period: float) -> int:
@@ -275,5 +314,7 @@ def with_alternatives(found: list[DeploymentFault], others: list[tuple[str, str]
 
 def is_told_by(fault: DeploymentFault, words: str) -> bool:
     """Whether a hypothesis in words is about a fault."""
+    if fault.kind in SAID_OTHERWISE:
+        return SAID_OTHERWISE[fault.kind] == words
     about = all(part in words for part in fault.kind.value.replace("velocity", "velocit").split("_"))
     return about and (fault.targets == ("*",) or " the " in words or any(t in words for t in fault.targets))

@@ -6,7 +6,7 @@ that recordings in other units can be compared, and a mend gains nothing by maki
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -17,7 +17,8 @@ from mujoco import rollout
 from datamodules import Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Mend
-from idapt_pl.diagnosis.data import measured_signals, slopes
+from idapt_pl.deployment_faults.model_mend import mended_model
+from idapt_pl.diagnosis.data import measured_signals, slopes, steps_left_out
 from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
 
 FORECAST_TIME = 0.06
@@ -77,7 +78,9 @@ def signals_of(model: mujoco.MjModel, data: Trajectories) -> list[Signals]:
     return made
 
 
-def choose_starts(lengths: list[int], steps: int, limit: int, seed: int) -> Starts:
+def choose_starts(
+    lengths: list[int], steps: int, limit: int, seed: int, left_out: Sequence[np.ndarray | None] = ()
+) -> Starts:
     """Rows to forecast from, at most ``limit``, in blocks of about equal length: at least six altogether.
 
     Args:
@@ -85,6 +88,7 @@ def choose_starts(lengths: list[int], steps: int, limit: int, seed: int) -> Star
         steps: control steps of a forecast.
         limit: of their number.
         seed: of the choice.
+        left_out: of each episode, control steps that no forecast may touch, (T,) bool; none where there is none.
     """
     rng = np.random.default_rng(seed)
     parts = max(1, -(-6 // max(len(lengths), 1)))
@@ -92,6 +96,9 @@ def choose_starts(lengths: list[int], steps: int, limit: int, seed: int) -> Star
     for e, T in enumerate(lengths):
         margin = min(MARGIN, T // 4)
         at = np.arange(margin, T - steps - margin)
+        if (marked := left_out[e] if left_out else None) is not None:
+            total = np.concatenate([[0], np.cumsum(marked)])
+            at = at[total[at + steps] == total[at]]
         rows.append(at)
         episodes.append(np.full(len(at), e))
         blocks.append(e * parts + (np.arange(len(at)) * parts) // max(len(at), 1))
@@ -119,7 +126,8 @@ class RecordingForecasts:
         self.joints = ScalarJoints.of(model)
         self.simulated = mujoco.MjData(model)
         self.steps = int(np.clip(round(FORECAST_TIME / max(data.dt * period, 1e-6)), 1, MOST_FORECAST_STEPS))
-        self.starts = choose_starts([len(e) for e in data], self.steps, limit, seed)
+        marks = [steps_left_out(f"episode_{i}", e) for i, e in enumerate(data)]
+        self.starts = choose_starts([len(e) for e in data], self.steps, limit, seed, marks)
 
     def signals(self, mend: Mend) -> list[Signals]:
         """The mended recording as arrays."""
@@ -134,7 +142,7 @@ class RecordingForecasts:
         period = float(np.median(np.concatenate([np.diff(s.time) for s in signals])))
         qpos = gather(signals, "qpos", starts.episode, at)
         usual = np.sqrt(np.square(after - before).mean(0)) + 1e-12
-        predicted = forecast(self.model, self.simulated, qpos, before, controls, period)
+        predicted = forecast(mended_model(self.model, mend), self.simulated, qpos, before, controls, period)
         miss = np.nan_to_num((after - predicted) / usual, nan=CAP, posinf=CAP, neginf=-CAP)
         return np.square(miss.clip(-CAP, CAP))
 

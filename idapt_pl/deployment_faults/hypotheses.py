@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import mujoco
@@ -26,6 +26,10 @@ SURE = 6.0
 
 CLEARLY_MORE = 1.5
 """An order is tried if commands make so many times more of the motion in it."""
+
+
+LEAST_GRAVITY = 0.1
+"""m/s²; with less, nothing can be said of its direction."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +179,18 @@ def offset_hypotheses(mend: Mend, joints: ScalarJoints, moving: Sequence[int]) -
     for j in moving:
         for by in OFFSETS if joints.hinge[j] else ():
             yield Hypothesis(f"zero of joint {joints.names[j]}", mend.moved_joint(joints, j, float(by)), j)
+
+
+def gravity_hypotheses(mend: Mend, model: mujoco.MjModel) -> Iterator[Hypothesis]:
+    """The base turned by 90 or 180 degrees: gravity along another axis of the model, either way."""
+    size, now = float(np.linalg.norm(model.opt.gravity)), model.opt.gravity
+    if size < LEAST_GRAVITY or mend.gravity is not None:
+        return
+    for axis in range(3):
+        for way in (1.0, -1.0):
+            turned = way * size * np.eye(3)[axis]
+            if turned @ now < 0.9 * size**2:
+                yield Hypothesis("direction of gravity", replace(mend, gravity=tuple(float(x) + 0.0 for x in turned)))
 
 
 def scaled_all(mend: Mend, factors: dict[int, float]) -> Mend:

@@ -1,4 +1,8 @@
-"""What has to be done to a recording to take deployment faults out of it, as values, and how it is done."""
+"""What has to be done to a recording to take deployment faults out of it, as values, and how it is done.
+
+Two faults are of the model rather than of the recording (drives of another kind, gravity along another axis);
+:mod:`~idapt_pl.deployment_faults.model_mend` takes them out.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,8 @@ from idapt_pl.diagnosis.data import measured_signals
 
 Numbers = tuple[float, ...]
 Indices = tuple[int, ...]
+Drive = tuple[float, float, float]
+"""What drives a joint: gain of the command, of the position and of the velocity."""
 Number = TypeVar("Number", int, float)
 
 SHORTEST_LEFT = 5
@@ -32,6 +38,8 @@ class Mend:
         v_order, v_scale, v_late: of velocities, (nv,) each.
         u_order, u_scale, u_late: of commands, (nu,) each; those with ``u_late`` 2 act two steps after they were noted.
         period: factor on the control period and on time stamps.
+        drives: of actuators that are of another kind than in the model, None for the others; empty where none is.
+        gravity: in place of the model's [m/s²], (3,); None where that is right.
     """
 
     q_order: Indices
@@ -44,6 +52,8 @@ class Mend:
     u_scale: Numbers
     u_late: Indices
     period: float = 1.0
+    drives: tuple[Drive | None, ...] = ()
+    gravity: Numbers | None = None
 
     @classmethod
     def nothing(cls, model: mujoco.MjModel) -> Mend:

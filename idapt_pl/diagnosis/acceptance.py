@@ -14,9 +14,9 @@ from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
 from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.plausible import plausible_range, rarity
 from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.wording import format_number
-from idapt_pl.effects.world import ExternalForce
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
@@ -27,6 +27,10 @@ NOTICEABLE_CHANGE = 0.03
 
 What a found effect's law or the integration gets wrong by a per cent looks like that.
 """
+FURTHER_SHARE, SHARE_OF_A_PARAMETER = 0.05, 0.02
+"""Share of the held-out error that a further effect must remove, and that each of its parameters must."""
+SLIPS = 1e-3
+"""Share of the error that was removed so far, which found effects may leave: their law is 3 % wrong, squared."""
 CLEAR_GAIN = 0.25
 """Share of the held-out error that a first effect must remove where velocities are only slopes of positions.
 
@@ -45,11 +49,14 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     rough = sorted((rough_fit(context, state, t) for t in chosen), key=lambda t: t.rough_loss)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     now = context.loss(state.windows.held_out, state.effects)
+    first = (
+        float(context.loss(state.windows.held_out, context.declared).mean()) if state.accepted else float(now.mean())
+    )
     confirmed, refined = [], 0
     for t in rough:
         best = rough[0].rough_loss
         if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            confirmed.append(refine(context, state, t, now))
+            confirmed.append(refine(context, state, t, now, first))
             refined += 1
         else:
             text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
@@ -64,22 +71,27 @@ def rough_fit(context: SearchContext, state: SearchState, t: Trial) -> Trial:
     return replace(t, x=fit.x, rough_loss=fit.solution.loss)
 
 
-def refine(context: SearchContext, state: SearchState, t: Trial, now: np.ndarray) -> Trial:
-    """Refit a candidate, with all accepted effects free, and judge it; ``now``: held-out losses without it, (n,)."""
+def refine(context: SearchContext, state: SearchState, t: Trial, now: np.ndarray, first: float) -> Trial:
+    """Refit a candidate, with all accepted effects free, and judge it; arguments as of :func:`objection`."""
     candidates = [*state.candidates, t.candidate]
     x = context.fit(state.windows.screen, state.fixed, candidates, t.x, 3).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
-    return replace(t, rejection=objection(context, t, now))
+    return replace(t, rejection=objection(context, t, now, first))
 
 
-def objection(context: SearchContext, t: Trial, now: np.ndarray) -> Rejection | None:
-    """Why a refitted candidate is not accepted, if it is not; ``now``: held-out losses without it, (n,)."""
+def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -> Rejection | None:
+    """Why a refitted candidate is not accepted, if it is not.
+
+    Args:
+        context: of the search.
+        t: what became of the candidate.
+        now: held-out losses without it, (n,).
+        first: mean held-out loss of the model as it was given.
+    """
     because, level = RejectionReason, float(now.mean())
-    if beyond_its_kind(t.candidate, t.x[-1]):
-        reached = f"{format_number(t.x[-1][0])} {t.candidate.units()[0]}"
-        text = f"its estimate ran to the end of what sensors are off by ({reached})"
+    if text := beyond_its_kind(t.candidate, t.x[-1]):
         return Rejection(because.BEYOND_SENSORS, text)
     if t.gain - context.settings.sureness * t.gain_error <= 0:
         text = f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
@@ -88,15 +100,23 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray) -> Rejection | 
         return Rejection(because.SMALL_GAIN, text)
     if t.round and level < 1.05:
         return Rejection(because.NOISE_FLOOR, "the noise floor is reached without it")
-    if t.round and t.gain < max(0.05 * level, 0.08):
+    asked = max(FURTHER_SHARE, SHARE_OF_A_PARAMETER * t.candidate.size)
+    if t.round and t.gain < max(asked * level, 0.08):
         removed = f"{100 * t.gain / level:.1f} %"
-        text = f"as a further effect it removes {removed} of the held-out error, less than 5 %"
+        text = f"as a further effect it removes {removed} of the held-out error, less than {100 * asked:g} %"
+        return Rejection(because.SMALL_GAIN, text)
+    if t.round and t.gain < SLIPS * (first - level):
+        text = (
+            "as a further effect it removes no more than what the effects found before may get wrong by a few per cent"
+        )
         return Rejection(because.SMALL_GAIN, text)
     if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE:
         change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
         return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
         return Rejection(because.NOISE_FLOOR, "the typical window is at the noise floor already")
+    if text := why_implausible(t.candidate, t.x[-1]):
+        return Rejection(because.IMPLAUSIBLE, text)
     return None
 
 
@@ -114,9 +134,29 @@ def too_small_a_gain(context: SearchContext, t: Trial, level: float) -> str:
     return ""
 
 
-def beyond_its_kind(c: Candidate, x: np.ndarray) -> bool:
+def beyond_its_kind(c: Candidate, x: np.ndarray) -> str:
     """Whether an error of a sensor would have to be larger than sensors have: then it stands in for something else."""
-    return c.span is not None and issubclass(c.kind, SensingEffect) and bool(np.isclose(c.span, x[:, None]).any())
+    if c.span is None or not issubclass(c.kind, SensingEffect) or not np.isclose(c.span, x[:, None]).any():
+        return ""
+    return f"its estimate ran to the end of what sensors are off by ({format_number(x[0])} {c.units()[0]})"
+
+
+def why_implausible(c: Candidate, x: np.ndarray) -> str:
+    """What about a candidate's parameters no machine has, in words; nothing where they are plausible.
+
+    A fit that ran to the end of what is plausible would have gone further.
+    """
+    if c.plausible is None:
+        return ""
+    reasons = []
+    for k, (low, high) in enumerate(c.plausible):
+        entry, (least, most) = plausible_range(c.kind.name, c.names[k], c.nominal[k]), (b[k] for b in c.possible())
+        near = 1e-3 * (high - low)
+        above, below = x[k] >= high - near and high < most, x[k] <= low + near and low > least
+        if entry is not None and (above or below) and high > low:
+            end = f"{format_number(high if above else low)} {c.units()[k]}".removesuffix(" 1")
+            reasons.append(f"{c.names[k]} {'above' if above else 'below'} {end} is not plausible: {entry.reason}")
+    return "; ".join(reasons)
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
@@ -164,8 +204,8 @@ def best_and_close(passed: Sequence[Trial]) -> tuple[Trial, list[Trial]]:
 
 
 def handicap(t: Trial) -> float:
-    """Sensors and unseen hands are blamed last: what they do imitates much, so they must be clearly better."""
-    return 0.05 * max(t.gain, 0.0) if issubclass(t.candidate.kind, SensingEffect | ExternalForce) else 0.0
+    """Rare causes are blamed last: what they do imitates much, so they must be clearly better."""
+    return rarity(t.candidate) * max(t.gain, 0.0)
 
 
 def indistinguishable(state: SearchState, best: Trial, other: Trial) -> bool:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.data import Recording
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
+from idapt_pl.effects.plausible import Machine, with_plausible_ends
 from idapt_pl.effects.world import Numerics
 
 CANDIDATE_ORDER = """
@@ -29,9 +33,11 @@ actuator_lag
 actuator_kp
 actuator_saturation.force
 motor_constant
+motor_resistance
 actuator_kv
 actuator_kp(*)
 motor_constant(*)
+motor_resistance(*)
 actuator_kv(*)
 actuator_rotation
 contact_friction(*)
@@ -52,7 +58,7 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
         data: its recordings; inertia and forces are taken at nine samples of each of the first eight.
         horizon: how long predictions run, s.
     """
-    d, inertia, force = mujoco.MjData(model), [], []
+    d, inertia, force, effort = mujoco.MjData(model), [], [], []
     for r in data[:8]:
         for k in np.linspace(0, len(r.actions) - 1, 9).astype(int):
             d.qpos[:], d.qvel[:], d.ctrl[:] = r.qpos[k], r.qvel[k], r.actions[k]
@@ -61,6 +67,7 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
             mujoco.mj_fullM(model, d, full)
             inertia.append(np.diag(full))
             force.append(d.actuator_force.copy())
+            effort.append(np.abs(d.qfrc_actuator) + np.abs(d.qfrc_bias) + np.abs(d.qfrc_passive))
     speed = np.sqrt(np.mean(np.concatenate([np.square(r.qvel) for r in data]), 0))
     positions = np.concatenate([r.qpos for r in data])
     motion, widest = np.ones(model.nv), np.zeros(model.nv)
@@ -73,15 +80,24 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
     dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
     tiny = 1e-9
     inertia, force = np.median(inertia, 0), np.sqrt(np.mean(np.square(force), 0))
-    return TypicalSizes(
+    sizes = TypicalSizes(
         dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, force + tiny, horizon
     )
+    return replace(sizes, effort=np.max(effort, 0) + sizes.torque)
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:
     """Every candidate of every effect for a model, in :data:`CANDIDATE_ORDER`."""
     model = spec.copy().compile()
     return in_order([c for kind in EFFECTS.values() for c in kind.candidates(model, typical)])
+
+
+def in_plausible_ranges(
+    model: mujoco.MjModel, typical: TypicalSizes, candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """The candidates of a model, each with what is plausible for it."""
+    machine = Machine(model, typical)
+    return [with_plausible_ends(c, machine) for c in candidates]
 
 
 def in_order(candidates: list[Candidate]) -> list[Candidate]:

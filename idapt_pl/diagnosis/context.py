@@ -29,7 +29,8 @@ class SearchContext:
     Attributes:
         sim: of the nominal model, with the recordings.
         declared: effects known already, applied throughout.
-        candidates: effects to consider.
+        candidates: effects to consider, in the ranges of what is plausible.
+        unlimited: the same without these ranges; empty where they have none.
         fit_episodes: numbers of the episodes to fit on.
         held_out_episodes: and of those to judge on; nothing is fitted to them.
         steps: control steps in a window.
@@ -43,6 +44,7 @@ class SearchContext:
     sim: Simulator
     declared: Effects
     candidates: Sequence[Candidate]
+    unlimited: Sequence[Candidate]
     fit_episodes: np.ndarray
     held_out_episodes: np.ndarray
     steps: int

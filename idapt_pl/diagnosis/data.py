@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Episode, Trajectories
+from idapt_pl.effects.contacts import touching_geoms
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +27,13 @@ SLOPE_HALF_WIDTH = 0.01
 LONGEST_PAUSE = 10.0
 """Seconds between two rows, for which one command is simulated; more is no recording of them."""
 
+JUMP = 12.0
+"""A velocity jumps where its second difference is so many times the usual one."""
+SHARE_OF_IMPACTS, FEWEST_WINDOWS = 1 / 3, 60
+"""Of the windows, where impacts are rarer; but not fewer windows than this for it."""
+LEFT_OUT = "left_out"
+"""Name of the channel of ``infos`` that marks control steps in which the model is not expected to hold."""
+
 START_UP = 0.25
 """Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
 
@@ -40,6 +48,8 @@ class Recording:
         qpos: measured positions, (T+1, nq).
         qvel: measured or estimated velocities, (T+1, nv).
         actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
+        left_out: control steps that nothing is predicted in, (T,) bool; None for none.
+        impacts: whether something hit something between a sample and the next, (T,); None where it is not known.
     """
 
     name: str
@@ -47,6 +57,8 @@ class Recording:
     qpos: np.ndarray
     qvel: np.ndarray
     actions: np.ndarray
+    left_out: np.ndarray | None = None
+    impacts: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -98,15 +110,33 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
                 f"episode_{i}: a pause of {gaps.max():.4g} s after row {gaps.argmax()}, where nobody knows what was "
                 "commanded: make two episodes of it (`idapt import` does)"
             )
-        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions))
+        left_out = steps_left_out(f"episode_{i}", episode)
+        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions, left_out))
     if any(qvel is None for _, qvel in measured):
-        return sloped, False
+        return with_impacts(model, sloped), False
     shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
     late = lateness(shown, sloped) if may_lag else 0.0
     if late > LATEST_VELOCITIES * np.median(np.concatenate([np.diff(r.time) for r in shown])):
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
-        return sloped, False
-    return shown, True
+        return with_impacts(model, sloped), False
+    return with_impacts(model, shown), True
+
+
+def steps_left_out(where: str, episode: Episode) -> np.ndarray | None:
+    """Control steps that ``infos/left_out`` marks, (T,) bool; None where it marks none.
+
+    Raises:
+        UnusableData: it is not one mark for each control step.
+    """
+    marked = episode.infos.get(LEFT_OUT)
+    if marked is None:
+        return None
+    if marked.shape != (len(episode),) or marked.dtype.kind not in "biu":
+        raise UnusableData(
+            f"{where}: infos/{LEFT_OUT} is {marked.dtype} {marked.shape}, expected one mark (bool) for each of "
+            f"{len(episode)} control steps"
+        )
+    return marked.astype(bool) if marked.any() else None
 
 
 def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tuple[np.ndarray, np.ndarray | None]:
@@ -192,23 +222,77 @@ def shift_positions(model: mujoco.MjModel, qpos: np.ndarray, by: np.ndarray) -> 
     return moved
 
 
+def with_impacts(model: mujoco.MjModel, recordings: list[Recording]) -> list[Recording]:
+    """The recordings of free bodies, with where things hit each other: where a velocity jumps between two samples.
+
+    A jump is a change that neither the one before nor the one after has, and that is far beyond the usual. A machine
+    with actuators touches things all the time, or moves in jerks anyway.
+    """
+    if model.nu or not touching_geoms(model):
+        return recordings
+    jerks = [np.abs(np.diff(r.qvel, n=2, axis=0, prepend=r.qvel[:1])) for r in recordings]
+    usual = np.median(np.concatenate(jerks), 0) + 1e-9
+    return [replace(r, impacts=(jerk / usual > JUMP).any(1)) for r, jerk in zip(recordings, jerks, strict=True)]
+
+
 def sample_windows(
     data: list[Recording], episodes: np.ndarray, steps: int, samples: int, limit: int, seed: int
 ) -> Windows:
     """At most ``limit`` windows of ``steps`` control steps out of some episodes, not overlapping.
 
     The first steps of an episode are left out where it is long enough: commands from before the
-    recording may still act there.
+    recording may still act there. So are windows with a step that is left out of the recording. Where things hit each
+    other seldom, windows over an impact are a third of all, as far as there are so many: nothing else shows how they
+    bounce.
     """
     rng = np.random.default_rng(seed)
-    found = []
+    found, hit = [], []
     for e in episodes:
-        T = len(data[e])
-        skip = min(int(np.ceil(START_UP / np.median(np.diff(data[e].time)))), T // 4, max(0, T - steps))
-        starts = np.arange(skip, T - steps + 1, steps)
+        r, T = data[e], len(data[e])
+        skip = min(int(np.ceil(START_UP / np.median(np.diff(r.time)))), T // 4, max(0, T - steps))
+        starts = window_starts(r.left_out, skip if r.actions.shape[1] else 0, T, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
+        hit.append(np.array([has_impact(r, s, steps) for s in starts], bool))
     every = np.concatenate(found) if found else np.zeros((0, 2), int)
-    if len(every) > limit:
-        every = every[np.sort(rng.choice(len(every), limit, replace=False))]
+    every = every[choose_rows(np.concatenate(hit) if hit else np.zeros(0, bool), limit, rng)]
     offsets = np.unique(np.round(np.linspace(0, steps, samples + 1)[1:]).astype(int))
     return Windows(every[:, 0], every[:, 1], offsets)
+
+
+def window_starts(left_out: np.ndarray | None, first: int, last: int, steps: int) -> np.ndarray:
+    """First steps of windows one after the other from ``first`` to ``last``; anew after what is left out."""
+    if left_out is None:
+        return np.arange(first, last - steps + 1, steps)
+    kept = np.concatenate([[False], ~left_out[first:last], [False]])
+    begins, ends = (first + np.flatnonzero(np.diff(kept.astype(int)) == s) for s in (1, -1))
+    runs = [np.arange(a, b - steps + 1, steps) for a, b in zip(begins, ends, strict=True)]
+    return np.concatenate([*runs, np.zeros(0, int)]).astype(int)
+
+
+def has_impact(recording: Recording, start: int, steps: int) -> bool:
+    """Whether something hits something within so many steps, as far as that is known."""
+    return recording.impacts is not None and bool(recording.impacts[start : start + steps].any())
+
+
+def over_impacts(data: list[Recording], windows: Windows) -> np.ndarray:
+    """Which windows are over an impact, (n,)."""
+    steps = int(windows.offsets[-1])
+    return np.array([has_impact(data[e], s, steps) for e, s in zip(windows.episode, windows.start, strict=True)], bool)
+
+
+def choose_rows(hit: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
+    """Which windows to take: at most ``limit``, and a third of those with an impact where they are rare.
+
+    Args:
+        hit: whether each has an impact, (n,).
+        limit: at most so many.
+        rng: decides among them.
+    """
+    rows, rare = np.arange(len(hit)), 0 < hit.sum() < SHARE_OF_IMPACTS * len(hit)
+    if rare:
+        with_impact = rows[hit]
+        with_impact = rng.permutation(with_impact)[: max(1, int(SHARE_OF_IMPACTS * limit))]
+        wanted = max(int(len(with_impact) * (1 / SHARE_OF_IMPACTS - 1)), FEWEST_WINDOWS - len(with_impact))
+        others = rng.permutation(rows[~hit])[: min(wanted, limit - len(with_impact))]
+        return np.sort(np.concatenate([with_impact, others]))
+    return np.sort(rng.choice(len(hit), limit, replace=False)) if len(hit) > limit else rows

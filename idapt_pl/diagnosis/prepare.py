@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
+from idapt_pl.diagnosis.candidates import all_candidates, in_plausible_ranges, typical_sizes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Recording, as_recordings
 from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows
@@ -30,14 +30,19 @@ def begin_search(
     """A search that has not looked for anything yet. Arguments as for :func:`~idapt_pl.diagnosis.diagnose`."""
     model, declared = name_elements(model.copy()), tuple(declared)
     data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
-    splits = split_episodes(activity(data), fit, hold_out)
+    usable = [i for i, r in enumerate(data) if r.left_out is None or not r.left_out.all()]
+    splits = split_episodes(activity(data), fit, hold_out, usable)
     sim = Simulator(model, data, velocities, threads, unmeasured)
     probe = noise_windows(sim, splits[0], seed)
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
     sizes = typical_sizes(sim.model, data, steps * sim.control_period)
-    considered = choose_candidates(all_candidates(model, sizes), candidates)
-    context = SearchContext(sim, declared, considered, *splits, steps, probe, noise, seed, settings, progress)
+    unlimited = choose_candidates(all_candidates(model, sizes), candidates)
+    considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
+    without_ranges = unlimited if settings.plausible else ()
+    context = SearchContext(
+        sim, declared, considered, without_ranges, *splits, steps, probe, noise, seed, settings, progress
+    )
     return context, first_state(context, first_noise)
 
 
@@ -48,7 +53,7 @@ def activity(data: Sequence[Recording]) -> np.ndarray:
 
 
 def split_episodes(
-    lively: np.ndarray, fit: Sequence[int] | None, hold_out: Sequence[int] | None
+    lively: np.ndarray, fit: Sequence[int] | None, hold_out: Sequence[int] | None, usable: Sequence[int] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Episodes to fit and to judge on.
 
@@ -59,11 +64,12 @@ def split_episodes(
         lively: of each episode, as of :func:`activity`.
         fit: numbers of the episodes to fit on, if not all that are not held out.
         hold_out: numbers of the episodes to judge on, if not the others.
+        usable: numbers of those that are not left out altogether, if not all.
 
     Raises:
         ValueError: there is no such episode, one is in both parts, or none is left for one of them.
     """
-    n = len(lively)
+    n, every = len(lively), np.arange(len(lively)) if usable is None else np.asarray(usable, int)
     for name, chosen in (("fit", fit), ("hold-out", hold_out)):
         for e in chosen or ():
             if not 0 <= e < n:
@@ -71,15 +77,16 @@ def split_episodes(
     if hold_out is not None:
         judged = np.asarray(hold_out, int)
     elif fit is not None:
-        judged = np.setdiff1d(np.arange(n), fit)
+        judged = np.setdiff1d(every, fit)
     else:
-        judged = np.sort(np.argsort(lively, kind="stable")[n // 2 % 4 :: 4])
-    fitted = np.setdiff1d(np.arange(n), judged) if fit is None else np.asarray(fit, int)
+        calmest = every[np.argsort(lively[every], kind="stable")]
+        judged = np.sort(calmest[len(every) // 2 % 4 :: 4])
+    fitted = np.setdiff1d(every, judged) if fit is None else np.asarray(fit, int)
     if both := np.intersect1d(fitted, judged).tolist():
         raise ValueError(f"episodes {both} are both to be fitted and held out")
     if not len(fitted) or not len(judged):
         lacking = "hold out" if len(fitted) else "fit"
-        raise ValueError(f"{n} episodes leave none to {lacking}; at least two are needed")
+        raise ValueError(f"{len(every)} episodes leave none to {lacking}; at least two are needed")
     return fitted, judged
 
 

@@ -8,10 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from idapt_pl.diagnosis.explanation import Explanation, Measurement
 from idapt_pl.effects.base import Effect
+
+if TYPE_CHECKING:
+    from idapt_pl.diagnosis.changes import ChangeReport
+    from idapt_pl.diagnosis.law_result import LawReport
 
 
 class Verdict(StrEnum):
@@ -94,6 +98,7 @@ class EffectEstimate:
         error_after: on held-out episodes, with all effects found; None for numerics.
         error_without: the same without this one; None for numerics.
         equivalent: what explains the data as well.
+        implausible: why no real machine has it, in words; empty where one may.
     """
 
     effect: str
@@ -103,6 +108,7 @@ class EffectEstimate:
     error_after: float | None = None
     error_without: float | None = None
     equivalent: Sequence[Alternative] = ()
+    implausible: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -116,7 +122,8 @@ class EffectEstimate:
         errors: dict[str, Any] = {"error_after": self.error_after}
         if self.error_without is not None:
             errors = {"fixed": dict(self.fixed), **errors, "error_without": self.error_without}
-        return {**entry, **errors, "equivalent": [a.to_dict() for a in self.equivalent]}
+        equivalent = [a.to_dict() for a in self.equivalent]
+        return {**entry, **errors, "equivalent": equivalent, "implausible": self.implausible}
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> EffectEstimate:
@@ -129,6 +136,7 @@ class EffectEstimate:
             entry.get("error_after"),
             entry.get("error_without"),
             tuple(map(Alternative.from_dict, entry.get("equivalent", ()))),
+            entry.get("implausible", ""),
         )
 
 
@@ -225,6 +233,7 @@ class RejectedCandidate:
         score: squared whitened error that the screen expects it to remove.
         held_out_gain: what a refit with it takes off the squared held-out error; None where it was not refitted.
         rejected_because: in words.
+        implausible: whether it was because no real machine has it.
     """
 
     effect: str
@@ -235,6 +244,7 @@ class RejectedCandidate:
     score: float
     held_out_gain: float | None
     rejected_because: str
+    implausible: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
@@ -247,6 +257,7 @@ class RejectedCandidate:
             "score": self.score,
             "held_out_gain": self.held_out_gain,
             "rejected_because": self.rejected_because,
+            "implausible": self.implausible,
         }
 
 
@@ -265,6 +276,8 @@ class DiagnosisResult:
         runtime_s: how long it took.
         explanations: what was found, then all that does as well; empty where nothing was found.
         measurement: how the recordings were measured.
+        laws: what a search for laws came to; None where none was made.
+        changes: whether effects stay the same throughout; None where that was not tested.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -279,6 +292,8 @@ class DiagnosisResult:
     runtime_s: float = 0.0
     explanations: Sequence[Explanation] = ()
     measurement: Measurement | None = None
+    laws: LawReport | None = None
+    changes: ChangeReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -294,4 +309,5 @@ class DiagnosisResult:
             "runtime_s": self.runtime_s,
             "explanations": [e.to_dict() for e in self.explanations],
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
+            **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
         }

@@ -8,10 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.acceptance import FAR_LOSS, NOTICEABLE_CHANGE, PARSIMONY, beyond_its_kind, handicap, rough_fit
+from idapt_pl.diagnosis.acceptance import (
+    FAR_LOSS,
+    NOTICEABLE_CHANGE,
+    PARSIMONY,
+    beyond_its_kind,
+    handicap,
+    rough_fit,
+    why_implausible,
+)
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.numerics import retest_numerics
+from idapt_pl.diagnosis.replay import worse_replays
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.trial import Trial
@@ -71,7 +81,7 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
         after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
         dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
-        if beyond_its_kind(t.candidate, x[-1]):
+        if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
             continue
         if after.mean() + handicap(t) + dearer < best_loss and gain > max(error, 0.03 * float(now.mean())):
             best, best_loss, best_x = t.candidate, float(after.mean()), x
@@ -107,7 +117,27 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
     needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
     slight = effect is not state.accepted[0] and effect.candidate.change(effect.x) < NOTICEABLE_CHANGE
-    if not (needless or slight):
+    if not (needless or slight or worse_replays(context, state, rest)):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
     return rest
+
+
+def keep_sure(context: SearchContext, state: SearchState) -> SearchState:
+    """Put intervals on the estimates, and leave out, one by one, what may as well be as the model has it.
+
+    What ended where no machine is says so.
+    """
+    context.progress("measuring", 0.92)
+    state = measure_intervals(context, state)
+    while unsure := [a for a in state.accepted if a.unsure]:
+        least = min(unsure, key=lambda a: a.candidate.change(a.x))
+        log.info("left out %s: its interval holds what the model has", least.candidate.label)
+        rest = refit_accepted(context, renew(context, state.without(least)))
+        state = measure_intervals(context, retest_numerics(context, rest))
+    return replace(state, accepted=tuple(map(with_its_doubts, state.accepted)))
+
+
+def with_its_doubts(a: AcceptedEffect) -> AcceptedEffect:
+    """An effect that the last fits drove to the end of what is plausible, with the reason why it is named last."""
+    return replace(a, implausible=a.implausible or why_implausible(a.candidate, a.x))

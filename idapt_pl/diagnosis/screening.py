@@ -9,11 +9,14 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import parameter_box
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.periodogram import periodic_starts
 from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
 from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointCogging
 from idapt_pl.effects.wording import format_number
 from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, project_out
 
@@ -28,7 +31,8 @@ def screen_candidates(context: SearchContext, state: SearchState, round: int) ->
     """Score all candidates on few windows and the best again on more; best first."""
     scout = ScoreTest(context, state, state.windows.scout, context.coarsely_whitened)
     known = {(c.label, c.names) for c in state.candidates}
-    trials = [scout.score(c, c.starts, round) for c in context.candidates if (c.label, c.names) not in known]
+    considered = [c for c in context.candidates if (c.label, c.names) not in known]
+    trials = [scout.score(c, starts_of(context, scout, state.windows.scout, c), round) for c in considered]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
     screen = ScoreTest(context, state, state.windows.screen, context.whitened)
@@ -36,6 +40,15 @@ def screen_candidates(context: SearchContext, state: SearchState, round: int) ->
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
     rest = [replace(t, score=t.score * ratio) for t in rest]
     return sorted(best, key=penalised_score, reverse=True) + rest
+
+
+def starts_of(
+    context: SearchContext, test: ScoreTest, split: WhitenedWindows, c: Candidate
+) -> Sequence[tuple[float, ...]]:
+    """Places to start a fit from: those of the candidate, or what the residual says of a torque that repeats."""
+    if c.kind is not JointCogging:
+        return c.starts
+    return periodic_starts(context.sim, split.windows, c, test.left, test.change)
 
 
 def penalised_score(t: Trial) -> float:
@@ -85,6 +98,11 @@ class ScoreTest:
         """Weighted rows (rows, k), orthogonal to what is accepted."""
         return project_out(self.Q, v * self.root)
 
+    def change(self, effect: Effect) -> np.ndarray:
+        """What an effect changes in the weighted residual on top of the current model, (rows,)."""
+        z = self.predict((*self.state.effects, effect))
+        return self.clear((z - self.base).reshape(-1, 1))[:, 0]
+
     def derivative(self, c: Candidate, x: np.ndarray, accepted: int | None = None) -> np.ndarray:
         """D z / d (x / scale) on top of the current model (of the accepted effect with that number), (rows, p)."""
         effects, (_, high), columns = self.state.effects, c.bounds(), []
@@ -105,8 +123,7 @@ class ScoreTest:
         x, gain = linear_step(D, self.left, nominal, parameter_box([c]))
         norm = np.linalg.norm(D, axis=0)
         for s in starts:
-            z = self.predict((*self.state.effects, c.effect(s)))
-            secant = self.clear((z - self.base).reshape(-1, 1))[:, 0]
+            secant = self.change(c.effect(s))
             size = float(secant @ secant)
             norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, nominal)) > 0) / 10)
             removed = self.total - float(np.square(self.left + secant).sum())

@@ -10,14 +10,16 @@ import mujoco
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.acceptance import accept, confirm
+from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.measurement import measure_intervals
+from idapt_pl.diagnosis.last_resort import try_implausible
+from idapt_pl.diagnosis.laws import add_laws
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
-from idapt_pl.diagnosis.revision import eliminate_needless, swap_for_rivals
+from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_for_rivals
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
@@ -39,6 +41,8 @@ class Diagnosis:
         sim: of the nominal model, with the recordings.
         held_out: windows that it was judged on.
         trials: everything tried, round by round.
+        context: what stayed the same throughout the search.
+        state: where the search ended.
     """
 
     result: DiagnosisResult
@@ -47,6 +51,8 @@ class Diagnosis:
     sim: Simulator
     held_out: Windows
     trials: tuple[Trial, ...]
+    context: SearchContext
+    state: SearchState
 
     @property
     def verdict(self) -> Verdict:
@@ -72,6 +78,7 @@ def diagnose(
     threads: int | None = None,
     unmeasured: Sequence[str] = (),
     noise: Noise | None = None,
+    laws: bool = True,
 ) -> Diagnosis:
     """Which physical effects does the model lack, by the recordings?
 
@@ -90,6 +97,7 @@ def diagnose(
             must not depend on where they are, only on how fast they move. Or ``"<joint> velocity"``, with which
             windows only begin.
         noise: of the sensors, where it is known; default is to estimate it from the recordings.
+        laws: where much stays unexplained, look for a law of force (:mod:`~idapt_pl.diagnosis.law_search`).
 
     Raises:
         UnusableData: the recordings do not fit the model.
@@ -102,10 +110,23 @@ def diagnose(
     state, trials = run_search(context, state)
     progress("judging", 0.95)
     result = summarise_search(context, state, trials)
-    result = replace(result, runtime_s=round(time.perf_counter() - started, 2))
-    progress("done", 1.0)
+    result = replace(result, changes=find_changes(context, state))
     held_out = state.windows.held_out.windows
-    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials)
+    found = Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
+    if laws:
+        found = with_laws(found)
+    progress("done", 1.0)
+    return replace(found, result=replace(found.result, runtime_s=round(time.perf_counter() - started, 2)))
+
+
+def with_laws(found: Diagnosis) -> Diagnosis:
+    """A diagnosis with laws of force, where much stays unexplained that no change over the recordings explains."""
+    if changes_over_recordings(found.result.changes):
+        return found
+    state, result = add_laws(found.context, found.state, found.trials, found.result)
+    result = replace(result, changes=found.result.changes, runtime_s=found.result.runtime_s)
+    held_out = state.windows.held_out.windows
+    return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
 
 Progression = tuple[SearchState, tuple[Trial, ...]]
@@ -127,9 +148,16 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     state = retest_numerics(context, state)
     nothing: Progression = (state, ())
     state, trials = forward_selection(nothing, add_effect, context.settings.max_effects)
-    state = swap_for_rivals(context, state)
-    state = eliminate_needless(context, state)
-    return measure_intervals(context, state), trials
+    state = eliminate_needless(context, swap_for_rivals(context, state))
+    rounds = 1 + max((t.round for t in trials), default=0)
+    other, tried = try_implausible(context, state, rounds)
+    trials = (*trials, *tried)
+    if other is not None:  # what was found in its shadow may be needless now, and more may show
+        state = eliminate_needless(context, retest_numerics(context, other))
+        left = context.settings.max_effects - len(state.accepted)
+        state, trials = forward_selection((state, trials), lambda s, k: add_effect(s, rounds + 1 + k), left)
+        state = eliminate_needless(context, state)
+    return keep_sure(context, state), trials
 
 
 def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[SearchState | None, list[Trial]]:

@@ -27,6 +27,7 @@ class AcceptedEffect:
         equivalent: trials that do as well on these data.
         rivals: the best that were refused for it.
         interval: 95 %, (p, 2); None before it is measured.
+        implausible: why no machine has it, where nothing else explains the recordings; else empty.
     """
 
     round: int
@@ -35,6 +36,15 @@ class AcceptedEffect:
     equivalent: tuple[Trial, ...] = ()
     rivals: tuple[Trial, ...] = ()
     interval: np.ndarray | None = None
+    implausible: str = ""
+
+    @property
+    def unsure(self) -> bool:
+        """Whether the interval of everything that says how strong it is holds what the model has anyway."""
+        c = self.candidate
+        pairs = zip(self.interval if self.interval is not None else (), c.nominal, strict=False)
+        inside = [low <= nominal <= high for (low, high), nominal in pairs]
+        return bool(inside) and all(inside[: c.strength or c.size])
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ class SearchSettings:
         z: of the score, in standard deviations under the null, family-wise.
         seconds: aim for no more than this on two cores.
         numerics: try other time steps and integrators too.
+        plausible: name what is not plausible on a real machine last, if at all. Another simulation may be anything.
     """
 
     max_effects: int = 4
@@ -40,6 +41,7 @@ class SearchSettings:
     z: float = 4.5
     seconds: float = 60.0
     numerics: bool = True
+    plausible: bool = True
 
 
 DEFAULT_SETTINGS = SearchSettings()

@@ -14,8 +14,10 @@ from mujoco import rollout
 
 from idapt_pl.diagnosis.backlash import BacklashCoordinates
 from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
+from idapt_pl.diagnosis.law_history import LawsInWindows
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.joints import PLAY_SUFFIX
+from idapt_pl.effects.learned import SignalForce
 from idapt_pl.effects.runtime import Command, CommandEffect, ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.effects.world import ExternalForce
 
@@ -34,6 +36,9 @@ SETTLING_SAMPLES = 8
 
 FORCE_HOLD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
+
+LAW_HOLD = 2e-3
+"""The same of learned laws, which are smooth [s]."""
 
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
@@ -114,28 +119,33 @@ class Simulator:
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
 
-    def residual(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> np.ndarray:
+    def residual(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> np.ndarray:
         """Measured minus predicted at every sample, (n, j, channels).
 
         Args:
             effects: the model's.
             windows: to compare.
             nudge: moves the first measured state, (2 nv,), for sensitivities.
+            push: further forces, (n, k, nv), each for a k-th of the window.
         """
-        measured_q, measured_v = self._measured(windows, windows.offsets)
-        qpos, qvel = self.predict(effects, windows, nudge)
-        parts = [position_difference(self.model, qpos, measured_q)]
+        return self.difference(self.measured(windows, windows.offsets), self.predict(effects, windows, nudge, push))
+
+    def difference(self, one: Motion, other: Motion) -> np.ndarray:
+        """One motion minus another, in all channels, (n, j, channels)."""
+        parts = [position_difference(self.model, other[0], one[0])]
         if self.velocities:
-            parts.append(measured_v - qvel)
+            parts.append(one[1] - other[1])
         return np.nan_to_num(np.concatenate(parts, -1), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
 
     def predict(
-        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
         self.calls += 1
         model, data = self._ready(effects)
-        qpos, qvel = (a[:, 0] for a in self._measured(windows, np.zeros(1, int)))
+        qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
         if nudge is not None:
             nv = self.model.nv
             qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
@@ -149,7 +159,8 @@ class Simulator:
         play = BacklashCoordinates(self.model, model)
         with silence_mujoco():
             loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
-            states = self._roll(model, data, effects, times[:, 0], *play.expand(qpos, qvel, loose), controls)
+            first = play.expand(qpos, qvel, loose)
+            states = self._roll(model, data, effects, times[:, 0], *first, controls, windows, push)
         qpos, qvel = play.contract(*interpolate_states(model, states, ends))
         for effect, joints in sensing:
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
@@ -158,7 +169,8 @@ class Simulator:
     def _times(self, windows: Windows) -> np.ndarray:
         return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
 
-    def _measured(self, windows: Windows, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def measured(self, windows: Windows, offsets: np.ndarray) -> Motion:
+        """Measured positions and velocities at samples of every window, (n, offsets, nq) and (n, offsets, nv)."""
         return self._of("qpos", windows, offsets), self._of("qvel", windows, offsets)
 
     def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
@@ -194,7 +206,7 @@ class Simulator:
             at = Windows(early.episode[rows], early.start[rows] + k, np.zeros(1, int))
             time, qpos, qvel = (self._of(name, at, at.offsets)[:, 0] for name in ("time", "qpos", "qvel"))
             held = controls[rows, k * per_sample : (k + 1) * per_sample]
-            states = self._roll(model, data, effects, time, *play.expand(qpos, qvel, loose[rows]), held)
+            states = self._roll(model, data, effects, time, *play.expand(qpos, qvel, loose[rows]), held, at)
             loose[rows] = play.read(states[:, -1, 1:])
         return loose
 
@@ -234,7 +246,7 @@ class Simulator:
 
     def _roll(
         self, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects, time: np.ndarray, qpos: np.ndarray,
-        qvel: np.ndarray, controls: np.ndarray,
+        qvel: np.ndarray, controls: np.ndarray, windows: Windows, push: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
         """States after every step, the first one in front: (n, steps + 1, size)."""
         n, steps, _ = controls.shape
@@ -244,18 +256,26 @@ class Simulator:
         if model.na and controls.shape[2] == model.na:
             start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
         forces = [e for e in effects if isinstance(e, ForceEffect)]
+        pushed = np.zeros((n, steps, model.nv + 6 * model.nbody))
+        if push is not None:
+            pushed[..., : self.model.nv] = push[:, np.arange(steps) * push.shape[1] // steps]
         if not forces:
-            states, _ = rollout.rollout(model, data, start, controls, control_spec=int(COMMAND), nstep=steps)
+            commands = controls if push is None else np.concatenate([controls, pushed], 2)
+            spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
+            states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        states, held = [start], max(1, int(FORCE_HOLD / model.opt.timestep + 1e-6))
+        laws = LawsInWindows(model, self.model, forces, self.data, windows)
+        hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
+        states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):
             commands = controls[:, k : k + held]
-            applied = np.repeat(self._forces(model, forces, states[-1])[:, None], commands.shape[1], 1)
+            applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states[-1])
+            applied[:, : model.nv] += laws.forces(states[-1], commands[:, 0])
             after, _ = rollout.rollout(
                 model,
                 data,
                 states[-1],
-                np.concatenate([commands, applied], 2),
+                np.concatenate([commands, pushed[:, k : k + held] + applied[:, None]], 2),
                 control_spec=int(COMMAND_AND_FORCE),
                 persistent_pool=self.threads > 1,
             )

@@ -24,8 +24,9 @@ from idapt_pl.diagnosis.result import (
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.signature import residual_signature
 from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.trial import Rejection, Trial
+from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
 from idapt_pl.diagnosis.verdict import decide, removed_share
+from idapt_pl.effects.actuators import MotorResistance
 from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.effects.wording import unit_at
 from idapt_pl.effects.world import Numerics
@@ -55,10 +56,11 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         black_box_could_still_remove=round(max(left, 0.0), 4),
         channels=physical_errors(context, state),
     )
+    estimates = [estimate_of(context, state, a) for a in state.accepted]
     return DiagnosisResult(
         verdict=verdict,
         error=error,
-        effects=(*(estimate_of(context, state, a) for a in state.accepted), *found_numerics(context, state)),
+        effects=in_order_of_trust([*estimates, *found_numerics(context, state)]),
         declared=context.declared,
         candidates=rejected_candidates(trials),
         signature=residual_signature(context, state, final) if verdict is Verdict.UNEXPLAINED_RESIDUAL else "",
@@ -68,6 +70,11 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         ),
         measurement=describe_measurement(context, state),
     )
+
+
+def in_order_of_trust(effects: Sequence[EffectEstimate]) -> tuple[EffectEstimate, ...]:
+    """What no real machine has comes last, however much it explains."""
+    return tuple(sorted(effects, key=lambda e: bool(e.implausible)))
 
 
 def significant(value: float, digits: int) -> float:
@@ -118,6 +125,7 @@ def estimate_of(context: SearchContext, state: SearchState, a: AcceptedEffect) -
         error_after=round(float(np.sqrt(error)), 4),
         error_without=round(float(np.sqrt(without)), 4),
         equivalent=(*map(alternative, a.equivalent), *inseparable(context.sim.model, a)),
+        implausible=a.implausible,
     )
 
 
@@ -129,6 +137,9 @@ def alternative(t: Trial) -> Alternative:
 
 def inseparable(model: mujoco.MjModel, a: AcceptedEffect) -> list[Alternative]:
     """What is the same as an effect by construction, whatever the data."""
+    if a.candidate.kind is MotorResistance:
+        why = "a gain of a direct-current motor is one over its resistance"
+        return [Alternative("actuator_gain", a.candidate.target, {"gain": significant(1 / a.x[0], 6)}, why)]
     if a.candidate.kind is not ActuatorDelay or not (a.candidate.target == "*" or model.nu == 1):
         return []
     why = "measurements that are late and commands that are late are the same once an episode is under way"
@@ -162,7 +173,8 @@ def rejected_candidate(t: Trial, why: Rejection) -> RejectedCandidate:
     c = t.candidate
     gain = None if np.isnan(t.gain) else significant(t.gain, 4)
     fixed, score = dict(c.fixed), significant(t.score, 4)
-    return RejectedCandidate(c.kind.name, c.target, named_values(t), fixed, t.round + 1, score, gain, why.text)
+    strange = why.reason is RejectionReason.IMPLAUSIBLE
+    return RejectedCandidate(c.kind.name, c.target, named_values(t), fixed, t.round + 1, score, gain, why.text, strange)
 
 
 def named_values(t: Trial) -> dict[str, float]:

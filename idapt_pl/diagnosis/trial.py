@@ -23,6 +23,8 @@ class RejectionReason(StrEnum):
     """Others leave less after a refit on few windows."""
     BEYOND_SENSORS = "beyond_sensors"
     """An error that sensors do not have: it stands in for something else."""
+    IMPLAUSIBLE = "implausible"
+    """Its fit ran to the end of what machines have: it stands in for something else."""
     UNSURE_GAIN = "unsure_gain"
     """It may not help on held-out episodes at all."""
     SMALL_GAIN = "small_gain"

@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.data import over_impacts
+from idapt_pl.diagnosis.replay import motion
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.diagnosis.screening import ScoreTest
 from idapt_pl.diagnosis.search_state import SearchState
 
 FLOOR, SLOPED_FLOOR = 1.6, 4.0
 """Loss up to which a model may be right; the other one where velocities are slopes of positions, which err more."""
+
+STILL = 5.0
+"""A channel that moves less within a window than so many standard deviations of its noise shows nothing."""
 
 UNPREDICTABLE = 4.0, 6.0
 """Loss of the typical window, and of one in four, from which even a remainder that nothing predicts is no noise."""
@@ -19,7 +24,7 @@ UNPREDICTABLE = 4.0, 6.0
 def decide(
     context: SearchContext, state: SearchState, before: float, after: float, losses: np.ndarray, predictable: float
 ) -> Verdict:
-    """The verdict; a remainder counts only if it is typical of the windows, or of a quarter, or could be predicted.
+    """The verdict; a remainder counts if it is typical of the windows, of a quarter, of impacts, or could be predicted.
 
     Args:
         context: of the search.
@@ -31,6 +36,9 @@ def decide(
     """
     median, upper = np.quantile(losses, [0.5, 0.75])
     floor = FLOOR if context.sim.velocities else SLOPED_FLOOR
+    hit = over_impacts(context.sim.data, state.windows.held_out.windows)
+    if hit.any():  # impacts are few and short, and all that tells about them
+        upper = max(upper, float(np.median(losses[hit])))
     left_over = after**2 > floor and (median > 1.5 or upper > UNPREDICTABLE[1] or predictable > 0.25)
     if state.accepted:
         poor = removed_share(before, after) < 0.75 or predictable > 0.3 or median > 2.0 or upper > UNPREDICTABLE[1]
@@ -46,7 +54,14 @@ def removed_share(before: float, after: float) -> float:
 
 
 def too_quiet(context: SearchContext, state: SearchState) -> bool:
-    """Whether not even a change by half of what an actuator (or a body's mass) does would have been seen."""
+    """Whether not even a change by half of what an actuator (or a body's mass) does would have been seen.
+
+    Free bodies move alike whatever their mass: where none is driven, whether they move at all.
+    """
+    if not context.sim.model.nu:
+        windows, noise = state.windows.screen.windows, state.windows.noise.sensors
+        moved = np.sqrt(np.square(motion(context, windows)).mean((0, 1)))
+        return bool((moved < STILL * noise)[context.sim.compared].all())
     wanted = [c for c in context.candidates if c.kind.name == "actuator_gain" and c.target != "*"]
     wanted = wanted or [c for c in context.candidates if c.kind.name == "body_mass"]
     if not wanted:

@@ -29,7 +29,8 @@ def servos(model: mujoco.MjModel) -> list[int]:
 class ActuatorGain(Effect):
     """Scales what a command does: 1 is nominal, 0.8 is a motor that has lost a fifth.
 
-    Of a ``dcmotor`` it divides the resistance, which scales the torque of a voltage and the back-EMF alike.
+    Of a ``dcmotor`` it divides the resistance, which scales the torque of a voltage and the back-EMF alike; a diagnosis
+    calls that :class:`MotorResistance`.
     """
 
     name: ClassVar[str] = "actuator_gain"
@@ -45,24 +46,32 @@ class ActuatorGain(Effect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        names = [name for _, name in named_actuators(model)]
+        motors = dc_motors(model)
+        names = [name for i, name in named_actuators(model) if i not in motors]
         return with_shared([Candidate(cls, name, ("gain",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
-@dataclass(frozen=True)
-class MotorConstant(Effect):
-    """Torque constant of a ``dcmotor`` relative to nominal; its back-EMF constant goes along."""
+RESISTANCE, TORQUE_CONSTANT, PROPORTIONAL = 0, 1, 4
+"""Where in ``gainprm`` a ``dcmotor`` has its resistance, torque constant and the gain of its position loop."""
 
-    name: ClassVar[str] = "motor_constant"
-    phrase: ClassVar[str] = "torque constant of motor"
+
+@dataclass(frozen=True)
+class MotorEffect(Effect):
+    """Something of a ``dcmotor`` relative to nominal.
+
+    Attributes:
+        place: of it in ``gainprm``.
+    """
+
+    place: ClassVar[int]
     factor: float = parameter("1", 1e-3, 1e3)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
-                actuator.gainprm[1] *= self.factor
+                actuator.gainprm[self.place] *= self.factor
             elif self.target != "*":
-                raise ValueError(f"motor_constant: actuator {actuator.name!r} is not a dcmotor")
+                raise ValueError(f"{self.name}: actuator {actuator.name!r} is not a dcmotor")
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
@@ -71,8 +80,29 @@ class MotorConstant(Effect):
 
 
 @dataclass(frozen=True)
+class MotorConstant(MotorEffect):
+    """Torque constant of a ``dcmotor`` relative to nominal; its back-EMF constant goes along."""
+
+    name: ClassVar[str] = "motor_constant"
+    phrase: ClassVar[str] = "torque constant of motor"
+    place: ClassVar[int] = TORQUE_CONSTANT
+
+
+@dataclass(frozen=True)
+class MotorResistance(MotorEffect):
+    """Resistance of a ``dcmotor``, windings and leads, relative to nominal: more of it weakens torque and back-EMF."""
+
+    name: ClassVar[str] = "motor_resistance"
+    phrase: ClassVar[str] = "resistance of motor"
+    place: ClassVar[int] = RESISTANCE
+
+
+@dataclass(frozen=True)
 class ActuatorKp(Effect):
-    """Stiffness of a servo relative to nominal: what it does with command and position alike."""
+    """Stiffness of a servo relative to nominal: what it does with command and position alike.
+
+    Of a ``dcmotor`` with a position loop of its own it is the gain of that loop.
+    """
 
     name: ClassVar[str] = "actuator_kp"
     phrase: ClassVar[str] = "stiffness of servo"
@@ -80,13 +110,17 @@ class ActuatorKp(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                actuator.gainprm[PROPORTIONAL] *= self.factor
+                continue
             actuator.gainprm[0] *= self.factor
             actuator.biasprm[0] *= self.factor
             actuator.biasprm[1] *= self.factor
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        names = [model.actuator(i).name for i in servos(model)]
+        looped = [i for i in dc_motors(model) if model.actuator_gainprm[i, PROPORTIONAL]]
+        names = [model.actuator(i).name for i in sorted([*servos(model), *looped])]
         return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
 
@@ -100,6 +134,8 @@ class ActuatorKv(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                continue  # its biasprm are other things, and its back-EMF follows from its constants
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             actuator.biasprm[2] = -self.kv
@@ -134,6 +170,8 @@ class ActuatorBias(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                continue  # its biasprm are other things: MJCF has no words for it
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             actuator.biasprm[0] += actuator.gainprm[0] * self.bias

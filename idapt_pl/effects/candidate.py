@@ -6,7 +6,7 @@ The functions below it help an effect's ``candidates`` to go through the element
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -29,6 +29,8 @@ class Candidate:
         fixed: parameters that are not free.
         span: narrower bounds, a pair for each parameter, where more would not be this effect any more.
         strength: how many of the parameters, from the first on, say how strong it is; the others say where or how.
+        plausible: what machines have, a pair for each parameter (:mod:`idapt_pl.effects.plausible`); a search keeps to
+            it. None where anything may be.
     """
 
     kind: type[Effect]
@@ -40,6 +42,7 @@ class Candidate:
     fixed: tuple[tuple[str, object], ...] = ()
     span: tuple[tuple[float, float], ...] | None = None
     strength: int | None = None
+    plausible: tuple[tuple[float, float], ...] | None = None
 
     @property
     def label(self) -> str:
@@ -57,7 +60,13 @@ class Candidate:
         return float(np.max(np.abs(np.subtract(x, self.nominal)[:n]) / np.array(self.scale[:n])))
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the parameters."""
+        """Bounds of the parameters: what is plausible where that is known, else what is possible."""
+        if self.plausible is not None:
+            return tuple(np.array(self.plausible, float).T)
+        return self.possible()
+
+    def possible(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of what a simulation can take for this effect."""
         if self.span is not None:
             return tuple(np.array(self.span, float).T)
         meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
@@ -89,6 +98,7 @@ class TypicalSizes:
         command: rms of the commands, (nu,).
         force: rms of the actuators' forces in the nominal model, (nu,).
         horizon: how long predictions run, s.
+        effort: the largest torque or force that acted on each joint, (nv,); empty where it is not known.
     """
 
     dt: float
@@ -99,6 +109,7 @@ class TypicalSizes:
     command: np.ndarray
     force: np.ndarray
     horizon: float
+    effort: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def torque(self) -> np.ndarray:
@@ -142,15 +153,40 @@ def actuated_dofs(model: mujoco.MjModel) -> set[int]:
 def floating_base_dofs(model: mujoco.MjModel) -> set[int]:
     """Degrees of freedom by which a machine moves freely in the world, such as x, z and pitch of a planar walker.
 
-    They are those of a body of the world with several joints, none of which has an actuator. Such a coordinate is no
-    machine part: there is no gear, rotor, bearing or encoder.
+    They are those of the bodies from the world on, up to the first joint with an actuator: of a body with several
+    joints, or of several bodies in a row, or a slide on which a driven machine rides. Such a coordinate is no machine
+    part: there is no gear, rotor, bearing or encoder. One passive hinge at the root is one, a bearing.
     """
     driven, base = actuated_dofs(model), set[int]()
-    for body in np.flatnonzero((model.body_parentid == 0) & (model.body_jntnum > 1)):
-        dofs = set(range(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body]))
-        if not dofs & driven:
-            base |= dofs
+    for root in np.flatnonzero(model.body_parentid == 0)[1:]:
+        dofs, body = list[int](), int(root)
+        while True:
+            own = list(range(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body]))
+            if driven.intersection(own):
+                break
+            dofs += own
+            children = np.flatnonzero(model.body_parentid == body)
+            if len(children) != 1 or model.body_dofnum[body] == 0 or model.body_geomnum[body]:
+                break
+            body = int(children[0])
+        slide = any(model.jnt_type[model.dof_jntid[v]] == mujoco.mjtJoint.mjJNT_SLIDE for v in dofs)
+        if len(dofs) > 1 or (slide and drives_something(model, int(root), driven)):
+            base |= set(dofs)
     return base
+
+
+def drives_something(model: mujoco.MjModel, root: int, driven: set[int]) -> bool:
+    """Whether an actuator acts on a joint of a body or of one that hangs on it."""
+    return any(model.body_rootid[model.dof_bodyid[v]] == root for v in driven)
+
+
+def joints_with_motor(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
+    """As :func:`mechanical_joints`, of those only that an actuator acts on: a bearing has no rotor and no magnets.
+
+    In a model without any actuator, all: its motors may be switched off.
+    """
+    driven = actuated_dofs(model)
+    return [joint for joint in mechanical_joints(model) if not model.nu or joint[1] in driven]
 
 
 def mechanical_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
@@ -166,7 +202,7 @@ def shared_by_all(model: mujoco.MjModel, every: list[Candidate]) -> list[Candida
 
 def one_per_joint(
     kind: type[Effect], parameter: str, model: mujoco.MjModel, nominal: np.ndarray, scale: np.ndarray,
-    further: Iterable[float] = (),
+    further: Iterable[float] = (), joints: Sequence[tuple[int, int, str]] | None = None,
 ) -> list[Candidate]:  # fmt: skip
     """A candidate for each hinge and slide that is part of a mechanism, and one value for all of them.
 
@@ -179,14 +215,16 @@ def one_per_joint(
         nominal: where the effect changes nothing, for each degree of freedom, (nv,).
         scale: of a noticeable change, (nv,).
         further: where fits start too, in scales from nominal.
+        joints: those that can have it; default :func:`mechanical_joints`.
     """
     singles, actuated = [], actuated_dofs(model)
-    for _, v, name in mechanical_joints(model):
+    for _, v, name in mechanical_joints(model) if joints is None else joints:
         n, s = float(nominal[v]), float(scale[v])
         singles.append((v, Candidate(kind, name, (parameter,), (n,), (s,), tuple((n + f * s,) for f in further))))
     every = [c for _, c in singles]
     driven = shared([c for v, c in singles if v in actuated], ACTUATED)
-    return every + (shared_by_all(model, every) or driven)
+    whole = shared_by_all(model, every) if len(every) == len(scalar_joints(model)) else []
+    return every + (whole or driven)
 
 
 def named_actuators(model: mujoco.MjModel) -> list[tuple[int, str]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from idapt_pl.effects.acting import register_laws
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.compile_time import write_out_masses
 from idapt_pl.effects.runtime import CommandEffect
@@ -99,4 +100,6 @@ class Domain:
         spec.visual.quality.offsamples = 4
         spec.visual.quality.numslices = min(16, spec.visual.quality.numslices)
         spec.visual.quality.numstacks = min(8, spec.visual.quality.numstacks)
-        return spec.compile()
+        model = spec.compile()
+        register_laws(model, self.effects)
+        return model

@@ -14,6 +14,7 @@ from idapt_pl.effects.candidate import (
     Candidate,
     TypicalSizes,
     actuated_dofs,
+    joints_with_motor,
     mechanical_joints,
     one_per_joint,
     scalar_joints,
@@ -88,7 +89,8 @@ class JointArmature(JointEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         # where first velocities are poorly known, a little more makes things worse before much more mends them
         further = (0.3, 1.0, 3.0)
-        return one_per_joint(cls, "armature", model, model.dof_armature, typical.inertia, further)
+        joints = joints_with_motor(model)
+        return one_per_joint(cls, "armature", model, model.dof_armature, typical.inertia, further, joints)
 
 
 @dataclass(frozen=True)
@@ -243,8 +245,8 @@ class JointStribeck(ForceEffect):
         )
 
 
-COGGING_PERIODS = (2, 4, 6, 8, 12)
-"""Of the cogging torques that a diagnosis tries, in a revolution."""
+MOST_PERIODS = 100.0
+"""Of a cogging torque in a turn of a joint; more are the teeth of a gear, and too fine for any log."""
 
 COGGING_REPEATS = 1.5
 """How many periods of a cogging torque the recordings must show: less than that is any torque that bends with angle."""
@@ -265,14 +267,20 @@ class JointCogging(ForceEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        """On hinges that turned through enough periods, with each number of periods that is likely."""
+        """On hinges that turned through enough periods. How many there are in a turn is fitted, too.
+
+        A diagnosis finds out where that fit starts (:mod:`idapt_pl.diagnosis.periodogram`).
+        """
         found = []
-        for j, v, name in mechanical_joints(model):
+        for j, v, name in joints_with_motor(model):
             if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
                 continue
-            scale = (typical.torque[v],) * 2
-            for n in COGGING_PERIODS:
-                if typical.range[v] * n / (2 * np.pi) > COGGING_REPEATS:
-                    fixed = (("periods", float(n)),)
-                    found.append(Candidate(cls, name, ("sine", "cosine"), (0.0, 0.0), scale, fixed=fixed))
+            fewest = max(1.0, 2 * np.pi * COGGING_REPEATS / typical.range[v])
+            most = min(MOST_PERIODS, np.pi / (typical.speed[v] * typical.dt))  # more go by between two samples
+            if fewest < 0.5 * most:
+                usual = float(np.clip(6.0, fewest, most))
+                torque, noticeable = typical.torque[v], float(0.3 / typical.range[v])
+                span = ((-1e4, 1e4), (-1e4, 1e4), (float(fewest), float(most)))
+                names, scale = ("sine", "cosine", "periods"), (torque, torque, noticeable)
+                found.append(Candidate(cls, name, names, (0.0, 0.0, usual), scale, span=span, strength=2))
         return found

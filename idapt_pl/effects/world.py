@@ -73,8 +73,9 @@ class FluidDrag(Effect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         density, viscosity = float(model.opt.density), float(model.opt.viscosity)
+        noticeable = 100.0 if density else 5.0  # of a liquid; of air
         return [
-            Candidate(cls, "world", ("density",), (density,), (100.0,), fixed=(("viscosity", viscosity),)),
+            Candidate(cls, "world", ("density",), (density,), (noticeable,), fixed=(("viscosity", viscosity),)),
             Candidate(cls, "world", ("viscosity",), (viscosity,), (1.0,), fixed=(("density", density),)),
         ]
 

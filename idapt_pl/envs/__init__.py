@@ -4,6 +4,7 @@ from idapt_pl.envs.action_map import ActionMap, MappedActions
 from idapt_pl.envs.grounded_env import GroundedEnv
 from idapt_pl.envs.image_env import VectorImageEnv
 from idapt_pl.envs.robot_env import RobotEnv, TargetFailed
+from idapt_pl.envs.seen_through import SeenThrough
 from idapt_pl.envs.state_env import StatesOnly, VectorStateEnv
 from idapt_pl.envs.target_env import BlindTarget, PixelsOnly
 from idapt_pl.envs.wrapper import ImageEnv, ImageEnvWrapper
@@ -17,6 +18,7 @@ __all__ = [
     "MappedActions",
     "PixelsOnly",
     "RobotEnv",
+    "SeenThrough",
     "StatesOnly",
     "TargetFailed",
     "VectorImageEnv",

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.envs.image_env import Observations, ResetResult, StepResult, VectorImageEnv
-from idapt_pl.envs.wrapper import ImageEnvWrapper
+from idapt_pl.envs.image_env import Observations, ResetResult, StepResult
+from idapt_pl.envs.wrapper import ImageEnv, ImageEnvWrapper
 
 Translate = Callable[[np.ndarray], np.ndarray]
 """G: uint8 (n, k, H, W, 3) source frames to uint8 target-style frames of the same shape."""
@@ -24,21 +24,23 @@ class GroundedEnv(ImageEnvWrapper):
     (identity) the source is reproduced bit for bit.
 
     Args:
-        env: the source environment.
+        env: the source environment (or what is to be seen through G alone).
         G: visual transformation, or None for identity.
         F: action transformation, or None for identity.
         frames: how many frames G translates at a time: 1, or the whole stack K.
     """
 
     def __init__(
-        self, env: VectorImageEnv, G: Translate | None = None, F: TransformAction | None = None, frames: int = 1
+        self, env: ImageEnv, G: Translate | None = None, F: TransformAction | None = None, frames: int = 1
     ) -> None:
         super().__init__(env)
         self.G, self.F, self.frames = G, F, frames
-        self._pixels = np.zeros(env.observation_space["pixels"].shape or (), np.uint8)  # ô^T, (n, K, H, W, 3)
+        self._pixels = np.zeros(0, np.uint8)  # ô^T, (n, K, H, W, 3), once there is one
 
     def reset(self, **kwargs: Any) -> ResetResult:
         obs, infos = self.env.reset(**kwargs)
+        if self._pixels.size == 0:
+            self._pixels = np.zeros_like(obs["pixels"])
         self._pixels = self._translate(obs["pixels"], fresh=np.ones(self.num_envs, bool))
         return self._observe(obs, self._pixels.copy()), infos
 

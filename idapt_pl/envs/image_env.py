@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias, cast
 
 import gymnasium
@@ -12,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.rendering.parallel import BatchRenderer, ParallelRenderer
+from idapt_pl.rendering.several import RendererOfSeveral
 from idapt_pl.tasks import Task
 
 Observations: TypeAlias = dict[str, np.ndarray]
@@ -38,6 +40,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         frame_stack: K.
         view: the part of the camera's image that is rendered.
         render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
+        variants: worlds that episodes begin in, drawn anew for each, in place of ``domain`` (domain randomisation).
     """
 
     single_action_space: gymnasium.spaces.Box
@@ -53,11 +56,17 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         frame_stack: int = 3,
         view: View = WHOLE,
         render_processes: int = 0,
+        variants: Sequence[Domain] = (),
     ) -> None:
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
-        self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
+        self.variants = tuple(variants) or (domain,)
+        self._compiled = [v.compile(view) for v in variants] or [self.model]
+        check_alike(self.model, self._compiled)
+        self._drawn = np.zeros(num_envs, int)
+        self._variant_rng = np.random.default_rng()
+        self.data = [mujoco.MjData(self._compiled[0]) for _ in range(num_envs)]
         self._render = self._make_renderer(image_size, render_processes)
         self._rng = np.random.default_rng()
         self._elapsed = np.zeros(num_envs, dtype=int)
@@ -80,28 +89,39 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         """Control period, s."""
         return self.task.period(self.model)
 
+    @property
+    def models(self) -> list[mujoco.MjModel]:
+        """The model that each simulation is in now."""
+        return [self._compiled[v] for v in self._drawn]
+
+    def states(self) -> np.ndarray:
+        """The state vectors, float32 (n, state_dim)."""
+        states = [self.task.state(m, data) for m, data in zip(self.models, self.data, strict=True)]
+        return np.asarray(states, np.float32)
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> ResetResult:
         """Begin new episodes; with ``options={"reset_mask": mask}`` in the simulations that it marks only."""
         if seed is not None:
             self._rng = np.random.default_rng(seed)
+            self._variant_rng = np.random.default_rng([seed, len(self.variants)])  # starts are drawn as without any
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
         self._reset(np.flatnonzero(mask))
         return self._observe(), {}
 
     def step(self, actions: np.ndarray) -> StepResult:
         actions = np.clip(actions, *self._limits)
-        actions = self.domain.command(self.model, actions)
+        actions, models = self._commanded(actions), self.models
         rewards = np.zeros(self.num_envs)
         terminations = np.zeros(self.num_envs, bool)
         for i, data in enumerate(self.data):
-            rewards[i], terminations[i] = self.task.step(self.model, data, actions[i])
+            rewards[i], terminations[i] = self.task.step(models[i], data, actions[i])
         self._look()
         self._elapsed += 1
         truncations = (self._elapsed >= self.task.horizon) & ~terminations
         done = terminations | truncations
         infos: dict[str, Any] = {}
         if self.task.metric == "success":
-            infos["success"] = np.array([self.task.success(self.model, data) for data in self.data])
+            infos["success"] = np.array([self.task.success(m, d) for m, d in zip(models, self.data, strict=True)])
         if done.any():
             infos |= {"final_obs": self._observe(), "_final_obs": done}
             self._reset(np.flatnonzero(done))
@@ -121,7 +141,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         For paired evaluation only.
         """
         self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
-        mujoco.mj_forward(self.model, self.data[i])
+        mujoco.mj_forward(self.models[i], self.data[i])
         self._frames[i, -1] = self._render([self.data[i]])[0]
         return self._frames[i, -1].copy()
 
@@ -131,14 +151,32 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
     def _reset(self, which: np.ndarray) -> None:
         """Begin new episodes. The first frame of an episode fills the whole stack."""
         for i in which:
-            mujoco.mj_resetData(self.model, self.data[i])
-            self.task.reset(self.model, self.data[i], self._rng)
-            mujoco.mj_forward(self.model, self.data[i])
+            model = self._draw_variant(i)
+            mujoco.mj_resetData(model, self.data[i])
+            self.task.reset(model, self.data[i], self._rng)
+            mujoco.mj_forward(model, self.data[i])
         self._elapsed[which] = 0
         self._frames[which] = self._render([self.data[i] for i in which])[:, None]
 
+    def _draw_variant(self, i: int) -> mujoco.MjModel:
+        """Put simulation ``i`` into a variant of its own. Returns its model."""
+        if len(self.variants) > 1:
+            self._drawn[i] = self._variant_rng.integers(len(self.variants))
+            self.data[i] = mujoco.MjData(self._compiled[self._drawn[i]])
+        return self._compiled[self._drawn[i]]
+
+    def _commanded(self, actions: np.ndarray) -> np.ndarray:
+        """What effects that MJCF has no words for make of actions (n, nu)."""
+        commands = np.empty_like(actions)
+        for v in np.unique(self._drawn):
+            chosen = self._drawn == v
+            commands[chosen] = self.variants[v].command(self._compiled[v], actions[chosen])
+        return commands
+
     def _make_renderer(self, size: int, processes: int) -> BatchRenderer:
-        return ParallelRenderer(self.model, size, processes)
+        if len(self._compiled) == 1:
+            return ParallelRenderer(self._compiled[0], size, processes)
+        return RendererOfSeveral(self._compiled, size)
 
     def _look(self) -> None:
         """Take the newest frames."""
@@ -146,5 +184,19 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._frames[:, -1] = self._render(self.data)
 
     def _observe(self) -> Observations:
-        states = [self.task.state(self.model, data) for data in self.data]
-        return {"pixels": self._frames.copy(), "state": np.asarray(states, np.float32)}
+        return {"pixels": self._frames.copy(), "state": self.states()}
+
+
+def check_alike(model: mujoco.MjModel, variants: Sequence[mujoco.MjModel]) -> None:
+    """Whether variants have the state and the commands of a model.
+
+    Raises:
+        ValueError: if they do not.
+    """
+    for variant in variants:
+        for size in ("nq", "nv", "nu"):
+            if getattr(variant, size) != getattr(model, size):
+                raise ValueError(
+                    f"a variant of the source has {size} {getattr(variant, size)}, the source {getattr(model, size)}: "
+                    "randomisation may not add or take away joints or actuators"
+                )

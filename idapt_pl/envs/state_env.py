@@ -40,10 +40,11 @@ class VectorStateEnv(VectorImageEnv):
         task: the task.
         domain: the world it is played in.
         num_envs: number of simulations.
+        variants: as of :class:`VectorImageEnv`.
     """
 
-    def __init__(self, task: Task, domain: Domain, num_envs: int = 1) -> None:
-        super().__init__(task, domain, num_envs, image_size=1, frame_stack=1)
+    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, variants: Sequence[Domain] = ()) -> None:
+        super().__init__(task, domain, num_envs, image_size=1, frame_stack=1, variants=variants)
         states = self.single_observation_space["state"]
         self.single_observation_space = gymnasium.spaces.Dict({"pixels": states, "state": states})
         self.observation_space = cast(gymnasium.spaces.Dict, batch_space(self.single_observation_space, num_envs))

@@ -27,6 +27,8 @@ class EstimateErrors:
             return
         for name, seen in (("readings", self.act.readings), ("estimates", self.act.estimates)):
             assert seen is not None  # it has acted
+            if seen.shape[-1] != len(encoder.mean):
+                continue  # no estimates of states, but what an LSTM makes of readings
             states = (seen * encoder.std + encoder.mean).cpu().numpy()
             self._errors[name].append(np.abs(states - obs["state"]).mean(0))
 

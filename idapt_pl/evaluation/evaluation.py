@@ -36,10 +36,12 @@ class Evaluation:
         stages: of the run.
         episodes: episodes for each return.
         target_name: for the summary.
+        method: for the summary.
     """
 
-    def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str) -> None:
-        self.worlds, self.stages, self.episodes, self.target_name = worlds, stages, episodes, target_name
+    def __init__(self, worlds: Worlds, stages: Stages, episodes: int, target_name: str, method: str = "idapt") -> None:
+        self.worlds, self.stages, self.episodes = worlds, stages, episodes
+        self.target_name, self.method = target_name, method
 
     def target_return(self, policy: AsymmetricSAC, seed: int, kept: KeptOutcomes | None = None) -> dict:
         """Return (or success) of a policy in the target, acting with its mean, and how wrong it is about the state.
@@ -82,6 +84,14 @@ class Evaluation:
                 "when the target works again, the same command goes on"
             ) from failure
         kept.forget()
+        return result
+
+    def measured(self, step: int, make: Callable[[int], dict]) -> dict:
+        """What a baseline measures after a step, as ``evaluation.json`` and on the ledger."""
+        result = self.keeping(step, "evaluation", "evaluation", lambda seed, kept: make(seed))
+        if there := result["target"]:
+            log.info("step %d  target return %.1f ± %.1f", step, there["mean"], there["std"])
+        self.worlds.ledger.enter(step, "evaluation", evaluation_interactions(self.stages.folder(step), result))
         return result
 
     def direct_transfer(self, policy: AsymmetricSAC) -> dict:
@@ -192,22 +202,26 @@ class Evaluation:
         def read_if_there(step: int, name: str) -> dict | None:
             return read(step, name) if (self.stages.folder(step) / f"{name}.json").exists() else None
 
-        steps = len(evaluations) - 1
+        steps = max(0, len(evaluations) - 1)
         settled = (read_if_there(steps + 1, "convergence") or {}).get("settled", False)
         target = [e["target"].get("mean") for e in evaluations]
         selections = {k: read_if_there(k, "selection") for k in range(1, steps + 1)}
         oracle = read_if_there(0, "oracle_evaluation")
         found = [(k, read(k, path.stem)) for k in range(steps + 1) for path in effect_files(self.stages.folder(k))]
         stages = self.stages.timings()
+        direct = (read_if_there(0, "direct_transfer") or {}).get("mean")
+        last = {"source": direct, "oracle": oracle and oracle["mean"]}.get(self.method, (target or [None])[-1])
         summary = {
             "task": self.worlds.task.name,
             "target": self.target_name,
             "seed": self.stages.seed,
+            "method": self.method,
             "metric": self.worlds.task.metric,
             "episodes": self.episodes,
-            "direct_transfer": (read_if_there(0, "direct_transfer") or {}).get("mean"),
+            "result": last,
+            "direct_transfer": direct,
             "oracle": oracle["mean"] if oracle else None,
-            "visual_only": target[0],
+            "visual_only": target[0] if target else None,
             "grounded": target[1:] + target[-1:] * settled,  # the policy stays
             "settled": steps + 1 if settled else None,
             "effects": [{"step": k} | e for k, result in found for e in result["effects"]],

@@ -6,12 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import cma
 import numpy as np
-
-try:
-    import cma
-except ImportError:
-    cma = None
 
 from idapt_pl.diagnosis.context import Progress
 from idapt_pl.excitation.criterion import Score, SeparationCriterion
@@ -123,8 +119,6 @@ class MotionSearch:
         Raises:
             ImpossibleMotion: no motion keeps the limits.
         """
-        if cma is None:
-            raise ImpossibleMotion("the search needs a package that is missing: pip install 'idapt[excite]'")
         first = self.motion.random(self.rng, POPULATION)
         self.criterion.calibrate(self.motion.commands(0.3 * first))
         scattered, own = max(POPULATION, evaluations // 3), self.worth

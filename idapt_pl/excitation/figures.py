@@ -20,7 +20,7 @@ from idapt_pl.excitation.limits import MotionLimits
 from idapt_pl.excitation.rivals import Rival
 from idapt_pl.report.plots import NOISE, STYLE, escape_mathtext
 
-COLOURS = ("#1f77b4", "#d1495b", "#2f7d3b", "#b07d12", "#7b4ea3", "#5a5a5a")
+RIVAL_COLOURS = ("#1f77b4", "#d1495b", "#2f7d3b", "#b07d12", "#7b4ea3", "#5a5a5a")
 """Of explanations and of pairs, over and over."""
 
 MOST_JOINTS = 8
@@ -81,7 +81,7 @@ def draw_positions(
         for k, (seen, rival) in enumerate(zip(design.forecasts, rivals, strict=True)):
             q = seen.qpos[0, :, forecaster.model.jnt_qposadr[j]]
             width, dashes = (2.4, "-") if k == 0 else (1.2, "--")
-            label, colour = escape_mathtext(rival.name), COLOURS[k % len(COLOURS)]
+            label, colour = escape_mathtext(rival.name), RIVAL_COLOURS[k % len(RIVAL_COLOURS)]
             axis.plot(seen.time, q, label=label, color=colour, lw=width, ls=dashes)
         low, high = axis.get_ylim()
         for end in limits.position[v]:
@@ -97,7 +97,7 @@ def draw_growth(axis: Axes, design: MotionDesign, rivals: Sequence[Rival]) -> No
     ends, apart = design.growth
     for k, ((a, b), line) in enumerate(zip(combinations(rivals, 2), apart, strict=True)):
         label = escape_mathtext(f"{a.name} / {b.name}")
-        axis.plot(ends, line, color=COLOURS[k % len(COLOURS)], lw=1.6, label=label)
+        axis.plot(ends, line, color=RIVAL_COLOURS[k % len(RIVAL_COLOURS)], lw=1.6, label=label)
     axis.axhline(SEPARATED, color=NOISE, ls="--", lw=1)
     axis.set_title("separation so far, in standard deviations (dashed: told apart)", loc="left", fontsize=10)
     axis.set_xlabel("time (s)")

@@ -53,7 +53,7 @@ def motion_page(
         section("The motion", figure(scrollable(svg(drawn)), caption), *clips),
         parameters_section(parameters),
         safety_section(design),
-        next_steps_section(names[2], forecaster),
+        playing_section(names[2], forecaster),
     ]
     return document("the next recording", parts, APART if told else TOGETHER)
 
@@ -110,7 +110,7 @@ def safety_section(design: MotionDesign) -> str:
     return section("Safety", table(("limit", "#reached", "#allowed", "#room"), rows), paragraph(note, "small"))
 
 
-def next_steps_section(commands: str, forecaster: MotionForecaster) -> str:
+def playing_section(commands: str, forecaster: MotionForecaster) -> str:
     """How to play it and what to do with the recording."""
     start = ", ".join(format_number(v) for v in forecaster.given)
     steps = (

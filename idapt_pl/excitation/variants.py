@@ -12,7 +12,7 @@ from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import mechanical_joints, moved_bodies, named_actuators
 from idapt_pl.effects.joints import PLAY_SUFFIX, JointDamping, JointFrictionloss
 
-FRICTION, MASS, STRENGTH = 0.3, 0.1, 0.1
+FRICTION_SPREAD, MASS, STRENGTH = 0.3, 0.1, 0.1
 """Shares by which friction and damping, masses, and what actuators do may be off."""
 
 
@@ -33,9 +33,9 @@ def varied(model: mujoco.MjModel, effects: Effects, rng: np.random.Generator) ->
         if not name or name.endswith(PLAY_SUFFIX):
             continue
         if model.dof_damping[v]:
-            changed.append(JointDamping(name, about(model.dof_damping[v], FRICTION)))
+            changed.append(JointDamping(name, about(model.dof_damping[v], FRICTION_SPREAD)))
         if model.dof_frictionloss[v]:
-            changed.append(JointFrictionloss(name, about(model.dof_frictionloss[v], FRICTION)))
+            changed.append(JointFrictionloss(name, about(model.dof_frictionloss[v], FRICTION_SPREAD)))
     changed += [BodyMass(name, about(model.body_mass[b], MASS)) for b, name in moved_bodies(model)]
     position, motors = servos(model), dc_motors(model)
     for i, name in named_actuators(model):

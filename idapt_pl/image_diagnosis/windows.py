@@ -173,12 +173,12 @@ def diagnose_by_windows(
     lengths = (np.quantile([len(e) for e in read], 0.75) for read in (readings.target, readings.control))
     length = max(SHORTEST_EPISODE, int(min(lengths)))
 
-    # The source keeps its numerics, so what is found must hold with them.
+    # The source keeps its numerics, so what is found must hold with them. The target may be another simulation.
     def diagnose_pieces(data: Trajectories, most: int) -> WindowDiagnosis:
         return WindowDiagnosis.of(diagnose(
             source.spec(), equal_pieces(data, length), candidates=options.candidates, seed=seed,
-            settings=SearchSettings(max_effects=most, numerics=False), unmeasured=readings.unmeasured,
-            noise=calibration.noise(model, task.unseen),
+             settings=SearchSettings(max_effects=most, numerics=False, plausible=False),
+             unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen), laws=False,
         ))  # fmt: skip
 
     control = diagnose_pieces(readings.control, options.max_effects)

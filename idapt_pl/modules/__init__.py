@@ -4,6 +4,7 @@ from idapt_pl.modules.dynamics import ActionTransformation
 from idapt_pl.modules.filter_training import FilterTraining
 from idapt_pl.modules.imitation import Imitation
 from idapt_pl.modules.policy import AsymmetricSAC
+from idapt_pl.modules.recurrent_policy import RecurrentSAC
 from idapt_pl.modules.sac import SAC
 from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.modules.state_predictor import StatePredictor
@@ -15,6 +16,7 @@ __all__ = [
     "AsymmetricSAC",
     "FilterTraining",
     "Imitation",
+    "RecurrentSAC",
     "StatePredictor",
     "StateSAC",
     "VisualTransformation",

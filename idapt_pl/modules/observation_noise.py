@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from idapt_pl.nets.encoder import PixelStatePredictor
@@ -80,4 +82,50 @@ class SlowNoise(NoObservationNoise):
         new = self._rng.normal(size=self._now.shape)
         self._now = self.memory * self._now + np.sqrt(1 - self.memory**2) * new
         wrong = self._spread * self._now + self._offset * self._constant
+        return {**seen, "observation": (seen["observation"] + wrong).astype(np.float32)}
+
+
+class RecordedErrors(NoObservationNoise):
+    """Errors of estimates as they were measured, played again in stretches, each episode's times a factor of its own.
+
+    Errors of estimates are rarely large, but then for several steps and in several components at once: one that loses
+    sight of a foot falls. No noise of one size for all components is like that.
+
+    Args:
+        errors: estimates less true states of whole episodes, (T, s) each.
+        num_envs: n.
+        seed: of what is played.
+    """
+
+    FACTORS = (0.0, 2.0)
+    """Range of the factors. Up to two, as in the target estimates are worse than where their errors were measured."""
+    STRETCH = (10, 40)
+    """Shortest and longest stretch that is played in one piece, control steps."""
+
+    def __init__(self, errors: Sequence[np.ndarray], num_envs: int, seed: int) -> None:
+        longest = self.STRETCH[1]
+        padded = [np.concatenate([e, np.zeros((longest, e.shape[1]))]) for e in errors]  # a stretch may begin anywhere
+        sizes = np.array([len(e) for e in errors])
+        self._errors = np.concatenate(padded)
+        self._begins = np.repeat(np.cumsum(sizes + longest) - sizes - longest, sizes) + np.concatenate(
+            [np.arange(n) for n in sizes]
+        )
+        self._rng = np.random.default_rng(seed)
+        self._at, self._left = np.zeros((2, num_envs), int)
+        self._factor = np.ones(num_envs)
+        self.renew(np.ones(num_envs, bool))
+
+    def renew(self, episodes: np.ndarray) -> None:
+        """Draw stretches and factors anew for some simulations."""
+        self._left[episodes] = 0
+        self._factor[episodes] = self._rng.uniform(*self.FACTORS, int(episodes.sum()))
+
+    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """States with errors, as ``observation``."""
+        over = self._left == 0
+        self._at[over] = self._rng.choice(self._begins, int(over.sum()))
+        self._left[over] = self._rng.integers(*self.STRETCH, int(over.sum()))
+        wrong = self._errors[self._at] * self._factor[:, None]
+        self._at += 1
+        self._left -= 1
         return {**seen, "observation": (seen["observation"] + wrong).astype(np.float32)}

@@ -14,7 +14,7 @@ from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNo
 from idapt_pl.modules.sac import SAC, Actor, unstack
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision
-from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.images import relight, stack_channels
 from idapt_pl.nets.state_filter import Memory, StateFilter
 
 
@@ -47,10 +47,15 @@ class AsymmetricSAC(SAC):
         lr_estimator: with ``supervised``, Adam.
         misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
             estimates have while training, new ones in every episode (:class:`.ObservationNoise`).
+        relight: with ``supervised``, how much the light of images varies while the encoder learns from them
+            (:func:`~idapt_pl.nets.images.relight`): G gives the target's usual light, and the target has others.
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
             not ask for calm actions, policies switch between extremes, which leaves no margin for errors of G and F.
         memory: with ``supervised``, size of the memory of a filter over time (:class:`.StateFilter`), which stands
             between the encoder and the actor's head; 0 for none (the paper).
+        recurrent: size of LSTMs in actor and critics, trained by SAC itself (:class:`.RecurrentSAC`, Adaptive RL); 0
+            for none. For ``method: source``.
+        sequence: with ``recurrent``, transitions in a stretch that updates are on (the paper: 7).
         unfamiliarity_cost: taken off the reward while training, times 1 - exp(-m²/2), m the Mahalanobis distance of the
             state from the source's task-agnostic data. G has learned from such states; far from them, or where their
             components go together differently, its images cannot be relied on.
@@ -81,9 +86,12 @@ class AsymmetricSAC(SAC):
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
         misperception: float = 0.0,
+        relight: float = 0.0,
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
         memory: int = 0,
+        recurrent: int = 0,
+        sequence: int = 7,
         bf16: bool = True,
     ) -> None:
         super().__init__()
@@ -95,10 +103,14 @@ class AsymmetricSAC(SAC):
         f: PixelEncoder | PixelStatePredictor = vision.encoder(image_size, frame_stack)
         if encoder == "supervised":
             f = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
-        self.add_networks(Actor(f, action_low, action_high, hidden), state_dim)
+        self.add_networks(self.make_actor(f, action_low, action_high, hidden), state_dim)
         self.filter = StateFilter(state_dim, len(action_low), memory) if memory else None
         self.register_buffer("familiar_mean", torch.zeros(state_dim))
         self.register_buffer("familiar_precision", torch.eye(state_dim))
+
+    def make_actor(self, f: nn.Module, low: list[float], high: list[float], hidden: Sequence[int]) -> Actor:
+        """The actor with encoder f."""
+        return Actor(f, low, high, hidden)
 
     def set_familiar_states(self, states: Tensor) -> None:
         """Take what is familiar from the states (n, state_dim) of the source's task-agnostic data."""
@@ -164,7 +176,8 @@ class AsymmetricSAC(SAC):
     def estimator_loss(self, batch: dict[str, Tensor]) -> Tensor:
         """L1 between f(o) of a batch's ``pixels`` and its standardised ``state``."""
         with fast_precision(self.device, self.hparams.bf16):
-            return self.actor.encoder.error(stack_channels(batch["pixels"]), batch["state"])
+            images = relight(stack_channels(batch["pixels"]), self.hparams.relight)
+            return self.actor.encoder.error(images, batch["state"])
 
     def features(self, remembered: Tensor) -> Tensor:
         """f(o) of what replay keeps; images are cropped at random."""

@@ -14,7 +14,7 @@ RATE = NOT_NEGATIVE
 WEIGHTS = ("cycle", "identity", "state", "reset", "contrastive", "consistency")
 
 MODULE_RANGES: dict[str, dict[str, Range]] = {
-    "state_predictor": {"lr": RATE},
+    "state_predictor": {"lr": RATE, "relight": Range(0, 3)},
     "visual": {
         "width": WIDTH, "blocks": Range(1, 100), "discriminator_width": WIDTH, "discriminator_layers": Range(1, 8),
         "pool_size": COUNT_OR_NONE, "state_jitter": NOT_NEGATIVE, "ema_decay": BELOW_ONE, "finetune_convs": Range(0, 4),
@@ -31,7 +31,8 @@ MODULE_RANGES: dict[str, dict[str, Range]] = {
         "hidden": WIDTH, "lr": RATE, "lr_floor": SHARE, "gamma": SHARE, "tau": Range(0, 1, "(]"),
         "temperature": POSITIVE, "target_entropy": Range(-1e6, 1e6), "actor_every": Range(1, 1e6),
         "estimator_updates": Range(0, 1e6), "estimator_batch": BATCH, "lr_estimator": RATE,
-        "misperception": NOT_NEGATIVE, "memory": Range(0, 16384), "action_cost": NOT_NEGATIVE,
+        "misperception": NOT_NEGATIVE, "relight": Range(0, 3), "memory": Range(0, 16384), "recurrent": Range(0, 16384),
+        "sequence": Range(1, 10_000), "action_cost": NOT_NEGATIVE,
         "unfamiliarity_cost": NOT_NEGATIVE,
     },
 }  # fmt: skip

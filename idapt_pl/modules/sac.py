@@ -31,15 +31,17 @@ class Actor(nn.Module):
         action_low: lower bounds (nu,), in the actuators' units.
         action_high: upper bounds (nu,).
         hidden: of the head.
+        seen: size of what the head sees of f(o), if that is not f(o) itself.
     """
 
     def __init__(
-        self, encoder: nn.Module, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int]
-    ) -> None:
+        self, encoder: nn.Module, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int],
+        seen: int | None = None,
+    ) -> None:  # fmt: skip
         super().__init__()
         low, high = torch.tensor(action_low), torch.tensor(action_high)
         self.encoder = encoder
-        self.head = mlp(encoder.features, hidden, 2 * len(low))
+        self.head = mlp(seen or encoder.features, hidden, 2 * len(low))
         self.head.apply(orthogonal_init)
         self.register_buffer("center", (high + low) / 2)
         self.register_buffer("half_range", (high - low) / 2)

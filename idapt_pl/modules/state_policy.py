@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from idapt_pl.modules.observation_noise import NoObservationNoise, SlowNoise
+from idapt_pl.modules.observation_noise import NoObservationNoise, RecordedErrors, SlowNoise
 from idapt_pl.modules.sac import SAC, Actor
 
 
@@ -72,6 +72,8 @@ class StateSAC(SAC):
         super().__init__()
         self.save_hyperparameters()
         self.add_networks(Actor(Standardise(state_dim), action_low, action_high, hidden), state_dim)
+        self.recorded_errors: Sequence[np.ndarray] = ()
+        """Errors (T, s) of whole episodes that the actor has to bear while it trains, in place of noise."""
 
     @torch.no_grad()
     def encode(self, observations: np.ndarray) -> Tensor:
@@ -86,6 +88,8 @@ class StateSAC(SAC):
         return self.act(remembered["observation"])
 
     def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
+        if len(self.recorded_errors):
+            return RecordedErrors(self.recorded_errors, num_envs, seed)
         if not self.misled:
             return NoObservationNoise()
         scale = self.actor.encoder.std.cpu().numpy()
@@ -94,7 +98,7 @@ class StateSAC(SAC):
     @property
     def misled(self) -> bool:
         """Whether the actor does not see the true states while it trains."""
-        return bool(self.hparams.noise or self.hparams.offset)
+        return bool(self.hparams.noise or self.hparams.offset or len(self.recorded_errors))
 
     def features(self, remembered: Tensor) -> Tensor:
         return remembered  # standardised by update()

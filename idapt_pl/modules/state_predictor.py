@@ -11,7 +11,7 @@ from torch.utils.data import Dataset
 
 from idapt_pl.modules.manual import fast_precision
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import stack_channels
+from idapt_pl.nets.images import relight, stack_channels
 
 
 class StatePredictor(L.LightningModule):
@@ -26,6 +26,7 @@ class StatePredictor(L.LightningModule):
         dt: control period, s; taken from the task.
         lr: Adam.
         bf16: bfloat16 autocast, where the device computes in it.
+        relight: how much the light of images varies while it learns (:func:`~idapt_pl.nets.images.relight`).
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class StatePredictor(L.LightningModule):
         dt: float = 1.0,
         lr: float = 3e-4,
         bf16: bool = True,
+        relight: float = 0.0,
     ) -> None:
         super().__init__()
         self.save_hyperparameters(ignore=["vision", "rates"])
@@ -48,7 +50,8 @@ class StatePredictor(L.LightningModule):
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
         with fast_precision(self.device, self.hparams.bf16):
-            error = self.P_S.error(stack_channels(batch["pixels"]), batch["state"])
+            images = relight(stack_channels(batch["pixels"]), self.hparams.relight)
+            error = self.P_S.error(images, batch["state"])
         self.log("state_predictor/l1", error, prog_bar=True)
         return error
 

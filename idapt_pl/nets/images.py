@@ -65,6 +65,29 @@ def jitter(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "
     return images * (1 + gain) + offset / 2 + noise
 
 
+def relight(images: Float[Tensor, "b c h w"], strength: float) -> Float[Tensor, "b c h w"]:
+    """Each stack of frames in another light: its contrast, brightness and tint; every fifth stays as it is.
+
+    A power law darkens what is dark and leaves what is bright, as a lamp does that is farther away.
+
+    Args:
+        images: stacks of frames of 3 channels, -1..1.
+        strength: logarithms of brightness are within ± strength, of the power law's exponent within -strength and 1.5
+            strength, of each colour's gain within ± 0.3 strength; 0 leaves images as they are.
+    """
+    if not strength:
+        return images
+    b, c = images.shape[:2]
+
+    def drawn(low: float, high: float, channels: int = 1) -> Tensor:
+        return torch.empty(b, channels, 1, 1, device=images.device).uniform_(low * strength, high * strength).exp()
+
+    gain = drawn(-1.0, 1.0) * drawn(-0.3, 0.3, 3).repeat(1, c // 3, 1, 1)
+    lit = (((images + 1) / 2).clamp(1e-4, 1) ** drawn(-1.0, 1.5) * gain).clamp(0, 1) * 2 - 1
+    as_it_is = torch.rand(b, 1, 1, 1, device=images.device) < 0.2
+    return torch.where(as_it_is, images, lit)
+
+
 def mean_images(batches: Iterable, frames: int, most: int = 200) -> dict[str, Tensor]:
     """Mean of the newest frames of the stacks of both domains, as channels, (3 frames, H, W), -1..1.
 

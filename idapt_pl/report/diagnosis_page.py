@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
 import matplotlib
@@ -13,8 +14,12 @@ from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
+from idapt_pl.report.change_section import change_section
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
 from idapt_pl.report.html import document, paragraph, row, section, table
+from idapt_pl.report.law_section import law_section
+from idapt_pl.report.minute_section import minute_section
+from idapt_pl.report.next_steps import linked_name, next_steps_section
 from idapt_pl.report.plots import STYLE, svg
 
 SHOWN_ROWS = 25
@@ -30,17 +35,32 @@ TONES = {
 
 def diagnosis_page(
     diagnosis: Diagnosis, repaired: RepairedModel, drawn: dict[str, Figure], model_name: str, data_name: str,
-    faults: str = "",
+    notes: Sequence[str] = (), warnings: Sequence[str] = (), settings: str = "",
 ) -> str:  # fmt: skip
-    """The whole page; ``faults`` is the section about the recordings' own faults."""
+    """The whole page.
+
+    Args:
+        diagnosis: finished.
+        repaired: the model before and after.
+        drawn: figures.
+        model_name: of the nominal model.
+        data_name: of the recordings.
+        notes: sections about the recordings themselves.
+        warnings: the same in a sentence each.
+        settings: the section of values to set.
+    """
     result, model = diagnosis.result, diagnosis.sim.model
     sections = [
         verdict_header(result, model, model_name, data_name),
-        faults,
-        error_section(result),
+        minute_section(result, diagnosis.sim, warnings),
+        *notes,
         effects_section(result, model),
+        settings,
+        next_steps_section(result.effects, result.next_experiment),
+        change_section(result.changes),
+        law_section(result.laws),
+        error_section(result),
         signature_section(result),
-        next_experiment_section(result),
         picture_sections(diagnosis, drawn),
         model_difference_section(repaired, bool(diagnosis.declared)),
         candidates_section(diagnosis),
@@ -80,7 +100,7 @@ def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
     for e in result.effects:
         others = listing(phrase_at(a.effect, a.target) for a in e.equivalent) if e.equivalent else ""
         for i, (name, value, interval, unit, nominal) in enumerate(estimate_cells(e, model)):
-            what = phrase_at(*e.key) if i == 0 else ""
+            what = linked_name(e) if i == 0 else ""
             cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", others if i == 0 else "")
             rows.append(row(*cells))
     if not rows:
@@ -97,12 +117,6 @@ def signature_section(result: DiagnosisResult) -> str:
     """What an unexplained residual looks like."""
     text = result.signature
     return section("What the unexplained part looks like", paragraph(text[0].upper() + text[1:])) if text else ""
-
-
-def next_experiment_section(result: DiagnosisResult) -> str:
-    """What to record to decide what these data could not."""
-    text = result.next_experiment
-    return section("What to record next", paragraph(text[0].upper() + text[1:])) if text else ""
 
 
 def picture_sections(diagnosis: Diagnosis, drawn: dict[str, Figure]) -> str:

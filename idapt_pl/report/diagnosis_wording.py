@@ -40,7 +40,8 @@ def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str
         Verdict.UNEXPLAINED_RESIDUAL: unexplained_sentences,
         Verdict.INSUFFICIENT_EXCITATION: quiet_sentences,
     }
-    return [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
+    said = [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
+    return [*said, *implausible_sentences(result)]
 
 
 # --- what each verdict says -----------------------------------------------------------------------------
@@ -139,6 +140,23 @@ def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
     return sentences
 
 
+def implausible_sentences(result: DiagnosisResult) -> list[str]:
+    """What is named last, or not at all, since no real machine has it."""
+    sentences = [
+        f"{phrase_at(*e.key).capitalize()} is named last: {e.implausible}. Nothing plausible explains these recordings "
+        "as well; look at the model there, or for a cause that no effect describes."
+        for e in result.effects
+        if e.implausible
+    ]
+    named = {e.key for e in result.effects}
+    refused = [c for c in result.candidates if c.implausible and (c.effect, c.target) not in named]
+    best = max(refused, key=lambda c: c.held_out_gain or 0.0, default=None)
+    if best is not None and not sentences:
+        what = phrase_at(best.effect, best.target)
+        sentences.append(f"Not named, though it would make predictions better: {what}. {best.rejected_because}.")
+    return [s[0].upper() + s[1:] for s in sentences]
+
+
 def estimate_cells(effect: EffectEstimate, model: mujoco.MjModel) -> list[tuple[str, str, str, str, str]]:
     """A row for each parameter of an effect: its name, estimate, interval, unit, and value in the model."""
     return [
@@ -162,7 +180,7 @@ def error_rows(result: DiagnosisResult) -> list[tuple[str, float, str]]:
     given = "the model as it was given" + (", with the effects declared" if result.declared else "")
     return [
         ("before", error.before, given),
-        ("after", error.after, "with the effects below" if result.effects else "the same: nothing was added"),
+        ("after", error.after, "with the effects found" if result.effects else "the same: nothing was added"),
         ("noise floor", ErrorTable.NOISE_FLOOR, "a perfect model: what the measurement noise alone leaves"),
         ("ceiling", error.ceiling, "the given model, corrected by a black box (a regression on state and commands)"),
     ]

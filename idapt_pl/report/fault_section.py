@@ -16,18 +16,6 @@ def fault_sentence(fault: DeploymentFault) -> str:
     return f"Deployment fault: {fault.words}{where}. Cure: {fault.cure}.{also}"
 
 
-def fault_sentences(report: FaultReport, fixed: bool) -> list[str]:
-    """All faults, and what the rest of the diagnosis is of; nothing where there is no fault.
-
-    Args:
-        report: of the tests.
-        fixed: whether the search for effects went on with the mended recording.
-    """
-    if not report.faults:
-        return []
-    return [*map(fault_sentence, report.faults), consequence(fixed)]
-
-
 def consequence(fixed: bool) -> str:
     """What the rest of the diagnosis is of."""
     if fixed:
@@ -38,8 +26,8 @@ def consequence(fixed: bool) -> str:
     )
 
 
-def fault_section(report: FaultReport | None, fixed: bool) -> str:
-    """The section of the page; empty where nothing was tested or found."""
+def fault_section(report: FaultReport | None, fixed: bool, file: str = "") -> str:
+    """The section of the page, of one of several files; empty where nothing was tested or found."""
     if report is None or not report.faults:
         return ""
     rows = [row(*fault_cells(f)) for f in report.faults]
@@ -47,9 +35,8 @@ def fault_section(report: FaultReport | None, fixed: bool) -> str:
         "Gain: by what factor the cure lowers squared errors of short forecasts, over all degrees of freedom, as a "
         "logarithm, on parts of the recording by which it was not chosen."
     )
-    return section(
-        "Deployment faults", paragraph(consequence(fixed)), table(FAULT_HEADS, rows), paragraph(caption, "small")
-    )
+    title = f"Deployment faults of {file}" if file else "Deployment faults"
+    return section(title, paragraph(consequence(fixed)), table(FAULT_HEADS, rows), paragraph(caption, "small"))
 
 
 def fault_cells(f: DeploymentFault) -> tuple[str, ...]:

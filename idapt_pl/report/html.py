@@ -101,11 +101,32 @@ def table(head: Sequence[str], rows: Iterable[str]) -> str:
     return scrollable(f"<table{kind}>\n<tr>{titles}</tr>\n" + "\n".join(rows) + "\n</table>")
 
 
+class Markup(str):
+    """HTML that a function of this module made, for a cell: it is not escaped again."""
+
+    @classmethod
+    def of(cls, text: str) -> Markup:
+        """Plain text, escaped."""
+        return cls(escape(text))
+
+    def __add__(self, other: str) -> Markup:
+        return Markup(str(self) + (other if isinstance(other, Markup) else escape(other)))
+
+
+def link(text: str, anchor: str) -> Markup:
+    """Text that leads to a place on the same page."""
+    return Markup(f'<a href="#{anchor}">{escape(text)}</a>')
+
+
 def row(*cells: str, kind: str = "") -> str:
-    """A row of cells; those that start with ``#`` are numbers."""
-    made = "".join(
-        f'<td class="n">{escape(c[1:])}</td>' if c.startswith("#") else f"<td>{escape(c)}</td>" for c in cells
-    )
+    """A row of cells; those that start with ``#`` are numbers, those that are :class:`Markup` are HTML."""
+
+    def cell(c: str) -> str:
+        if isinstance(c, Markup):
+            return f"<td>{c}</td>"
+        return f'<td class="n">{escape(c[1:])}</td>' if c.startswith("#") else f"<td>{escape(c)}</td>"
+
+    made = "".join(map(cell, cells))
     return f"<tr{css_class(kind)}>{made}</tr>"
 
 

@@ -45,7 +45,8 @@ def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
     metric = run.worlds.task.metric
     parts = [outcome_header(record, metric), missing_section(record), returns_section(record, metric)]
-    parts += [step_section(record, step, metric, run) for step in record.steps]
+    steps = () if record.stepless else record.steps
+    parts += [step_section(record, step, metric, run) for step in steps]
     parts += [times_section(record), ledger_section(record), run_settings_section(record)]
     title = f"{record.config['task']}: source to {target_name(record.config['target'])}, seed {record.config['seed']}"
     return document(title, parts, TONE, ROLLED_BACK_CSS)
@@ -55,7 +56,9 @@ def outcome_header(record: RunRecord, metric: str) -> str:
     """The headline, and the numbers that matter."""
     c, last = record.config, record.evaluated[-1:]
     head = "No step has been evaluated yet"
-    if last and not last[0].evaluation["target"]:
+    if record.reference:
+        head = f"{metric.capitalize()} in the target: {format_score(record.reference['mean'], metric)}"
+    elif last and not last[0].evaluation["target"]:
         grounded = format_score(last[0].evaluation["grounded"]["mean"], metric)
         head = f"{metric.capitalize()} in the grounded source: {grounded}; the target is not measured"
     elif last:
@@ -71,7 +74,7 @@ def outcome_header(record: RunRecord, metric: str) -> str:
     about = [
         f"{c['task']}, source to {target_name(c['target'])}, seed {c['seed']}; {p.get('started', 'date unknown')[:10]}",
         f"commit {(p.get('git_commit') or 'unknown')[:10]}{'+dirty' * str(p.get('git_commit')).endswith('+dirty')}",
-        f"idapt {p.get('versions', {}).get('idapt', '?')}",
+        f"idapt {p.get('versions', {}).get('idapt', '?')}, method {record.method}",
         str(p.get("device", "device unknown")),
     ]
     but = " but the oracle" if record.oracle else ""
@@ -91,7 +94,9 @@ def result_tile(name: str, result: dict, metric: str, best: bool = False, missin
 def missing_section(record: RunRecord) -> str:
     """What is missing, and how to get it."""
     parts = []
-    if not record.finished:
+    if not record.finished and record.stepless:
+        parts.append(f"The run has not ended. To go on: idapt fit --config {record.run / 'config.yaml'}")
+    elif not record.finished:
         done = len(record.evaluated)
         parts.append(
             f"The run has not ended: {done} of {record.planned + 1} steps are done (step 0 included). "

@@ -52,6 +52,14 @@ ORDER = (
     "rehearsal_policy",
     "estimator_policy",
     "filter_policy",
+    "trial_rehearsal",
+    "hardened_teacher",
+    "hardened_rehearsal_teacher",
+    "hardened_estimator_teacher",
+    "hardened_filter_teacher",
+    "hardened_rehearsal_policy",
+    "hardened_estimator_policy",
+    "hardened_filter_policy",
     "policy",
     "evaluation",
 )
@@ -135,6 +143,21 @@ class RunRecord:
         return self.config["schedule"]["grounding_steps"]
 
     @property
+    def method(self) -> str:
+        """What was run."""
+        return self.config.get("method", "idapt")
+
+    @property
+    def stepless(self) -> bool:
+        """Whether it is of a policy alone, without grounding steps."""
+        return self.method in ("source", "oracle")
+
+    @property
+    def reference(self) -> dict:
+        """What its policy reached, of a run without grounding steps."""
+        return {"source": self.direct_transfer, "oracle": self.oracle}.get(self.method, {})
+
+    @property
     def evaluated(self) -> list[StepRecord]:
         """Steps that went to their end."""
         return [s for s in self.steps if s.evaluation]
@@ -142,6 +165,8 @@ class RunRecord:
     @property
     def finished(self) -> bool:
         """Whether every step went to its end, or one showed that there was nothing left to learn."""
+        if self.stepless:
+            return (self.run / "summary.json").exists()
         return len(self.evaluated) == self.planned + 1 or any(s.settled for s in self.steps)
 
 

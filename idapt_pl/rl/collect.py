@@ -8,6 +8,7 @@ import numpy as np
 
 from datamodules import Episode, Trajectories
 from idapt_pl.envs import ImageEnv
+from idapt_pl.rl.exploration import look_into
 from idapt_pl.rl.policy import Policy, tick
 
 
@@ -77,6 +78,7 @@ def play(
 ) -> list[tuple[int, Episode]]:  # fmt: skip
     """What :func:`collect` records, in the order in which episodes end, and which simulation each is of."""
     assert horizon is None or env.num_envs == 1
+    look_into(act, env)
     obs, _ = env.reset(seed=seed)
     labelled = "state" in obs
     episodes: list[tuple[int, Episode]] = []

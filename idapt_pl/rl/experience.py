@@ -41,7 +41,7 @@ class Experience:
         state, seen = self._state, self._seen
         actions = self.act(seen)
         obs, rewards, terminations, truncations, infos = self.env.step(actions)
-        done = terminations | truncations
+        self.ended = done = terminations | truncations
         last = infos.get("final_obs", obs)
         next_state, next_seen = last["state"], self.noise(self.policy.remember(last["pixels"]))
         self._state, self._seen = obs["state"], next_seen

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 
+import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
@@ -37,14 +38,16 @@ def fit_expert(
     step: int,
     name: str,
     fresh: bool = True,
+    errors: Callable[[], Sequence[np.ndarray]] = tuple,
 ) -> StateSAC:
     """SAC on states in an environment whose ``pixels`` are its states, as one stage.
 
     A policy that is not ``fresh`` goes on from what it knows: it warms up with its own actions and keeps its scale.
+    ``errors``, (T, s) of whole episodes, are what its actor has to bear meanwhile (:class:`.RecordedErrors`).
     """
 
     def feed(module: StateSAC, seed: int, device: torch.device) -> ReplayDataModule:
-        env = make_env(device)
+        env, module.recorded_errors = make_env(device), errors()
         buffer = ReplayBuffer(recipe.warmup_steps + recipe.steps + recipe.num_envs, seed)
         warm_up = Experience(env, module, seed, random=fresh)
         for _ in range(math.ceil(recipe.warmup_steps / recipe.num_envs)):
@@ -55,7 +58,9 @@ def fit_expert(
         act = Experience(env, module, seed + 1)
         return ReplayDataModule(act, buffer, recipe.batch, updates, recipe.steps // recipe.num_envs)
 
-    return stages.fit(step, name, build, feed, recipe.steps // recipe.num_envs)
+    expert = stages.fit(step, name, build, feed, recipe.steps // recipe.num_envs)
+    expert.recorded_errors = ()
+    return expert
 
 
 def measure_expert(policy: StateSAC, task: Task, domain: Domain, episodes: int, seed: int) -> Returns:

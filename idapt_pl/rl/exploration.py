@@ -1,15 +1,17 @@
-"""Policies that collect the first data: random, babbling, and a teacher's actions replayed open loop."""
+"""Policies that collect the first data: random, babbling, experts, a teacher's actions replayed open loop."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 
+from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import StateSAC
-from idapt_pl.rl.policy import Policy
+from idapt_pl.rl.policy import Policy, tick
 
 
 def _bounds(env: VectorEnv) -> tuple[np.ndarray, np.ndarray]:
@@ -48,6 +50,86 @@ def babbling_policy(env: VectorEnv, seed: int) -> Policy:
 
 EXPLORATION: dict[str, Callable[[VectorEnv, int], Policy]] = {"random": random_policy, "babble": babbling_policy}
 """Task-agnostic policies, by the names configs and the command line use."""
+
+
+@runtime_checkable
+class Onlooker(Policy, Protocol):
+    """A policy that looks at the simulations themselves, whatever they show: a person at the controls."""
+
+    def look_into(self, env: VectorEnv) -> None:
+        """Look at what is played from now on."""
+
+
+def look_into(policy: Policy | None, env: VectorEnv) -> None:
+    """Let a policy that looks at simulations see those of an environment."""
+    if isinstance(policy, Onlooker):
+        policy.look_into(env)
+
+
+class ExpertAtTheControls:
+    """An expert, which acts on the true states of the simulations that are played; its actions are drawn.
+
+    In a target too. What is recorded there holds images and actions all the same, and nothing that learns sees more.
+
+    Args:
+        expert: on states, trained in the source.
+        name: of the exploration, for errors.
+    """
+
+    def __init__(self, expert: StateSAC, name: str) -> None:
+        self.expert, self.name = expert, name
+        self._env: VectorImageEnv | None = None
+
+    def look_into(self, env: VectorEnv) -> None:
+        """Look at what is played from now on.
+
+        Raises:
+            ValueError: if that is no simulation.
+        """
+        if not isinstance(simulations := env.unwrapped, VectorImageEnv):
+            raise ValueError(
+                f"schedule.exploration: {self.name} acts on true states, and what is played is no simulation with them"
+            )
+        self._env = simulations
+
+    def __call__(self, pixels: np.ndarray) -> np.ndarray:
+        """Actions (n, nu) for the states of now, whatever the images show."""
+        if self._env is None:
+            raise ValueError(
+                f"schedule.exploration: {self.name} acts on true states, and there is nothing to look into"
+            )
+        return self.expert.act(self._env.states())
+
+
+class TakingTurns:
+    """Several policies; an episode is played by the one that has played the fewest steps so far.
+
+    Args:
+        policies: they take turns in this order.
+        num_envs: simulations that are acted in.
+    """
+
+    def __init__(self, policies: Sequence[Policy], num_envs: int) -> None:
+        self.policies, self._turn = policies, np.zeros(num_envs, int)
+        self._steps = np.zeros(len(policies), int)
+
+    def look_into(self, env: VectorEnv) -> None:
+        """Let those see it that look at simulations."""
+        for policy in self.policies:
+            look_into(policy, env)
+
+    def __call__(self, pixels: np.ndarray) -> np.ndarray:
+        """Actions (n, nu) of whoever's turn it is in each simulation."""
+        actions = np.stack([policy(pixels) for policy in self.policies])
+        return actions[self._turn, np.arange(len(self._turn))]
+
+    def tick(self, ended: np.ndarray) -> None:
+        """A control step has passed; ``ended``, bool (n,), says in which simulations it ended the episode."""
+        self._steps += np.bincount(self._turn, minlength=len(self._steps))
+        for policy in self.policies:
+            tick(policy, ended)
+        for i in np.flatnonzero(ended):
+            self._turn[i] = int(np.argmin(self._steps))
 
 
 class OpenLoopReplay:

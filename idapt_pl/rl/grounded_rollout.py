@@ -11,6 +11,7 @@ from gymnasium.vector import VectorEnv
 from torch import Tensor
 
 from idapt_pl.modules import ActionTransformation
+from idapt_pl.rl.exploration import look_into
 from idapt_pl.rl.policy import Policy, tick
 
 
@@ -46,6 +47,7 @@ def garat_rollout(
         Tensors of shape (length, n, ...): ``features``, ``actions`` (the policy's), ``delta`` (F's sample),
         ``next_features``, ``next_actions``, ``ends`` (bool; the next row is another episode).
     """
+    look_into(explore, env)
     obs, _ = env.reset(seed=seed)
     device = F.device
 

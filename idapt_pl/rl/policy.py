@@ -80,7 +80,7 @@ class Acting:
     @property
     def lost(self) -> float | None:
         """Share of the steps so far in which what it remembers was lost; None if it remembers nothing."""
-        if self.memory is None:
+        if self.memory is None or self.memory.lost is None:
             return None
         return float(self.memory.lost.sum()) / max(1, self.memory.steps * len(self.memory.lost))
 

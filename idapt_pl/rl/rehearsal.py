@@ -46,8 +46,7 @@ class Rehearsal:
         """Mean actions (n, nu), before noise."""
         if self.policy is not None:
             return self.policy.on_features(self.policy.module.encode(pixels))
-        states = [self.env.task.state(self.env.model, data) for data in self.env.data]
-        return self.teacher.actor(self.teacher.encode(np.asarray(states, np.float32)), deterministic=True)[0]
+        return self.teacher.actor(self.teacher.encode(self.env.states()), deterministic=True)[0]
 
     def tick(self, ended: np.ndarray) -> None:
         """A control step has passed; ``ended``, bool (n,), says in which simulations it ended the episode."""

@@ -10,15 +10,19 @@ import torch
 
 from datamodules import Trajectories
 from datamodules.unpaired import read_all
-from idapt_pl.envs import TargetFailed, VectorStateEnv
+from idapt_pl.envs import ImageEnv, TargetFailed, VectorStateEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect, replay
-from idapt_pl.rl.exploration import EXPLORATION, OpenLoopReplay
+from idapt_pl.rl.experts import train_expert
+from idapt_pl.rl.exploration import EXPLORATION, ExpertAtTheControls, OpenLoopReplay, TakingTurns
 from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.run_folder.kept_episodes import KeptEpisodes
 from idapt_pl.stages.by_hand import ask_for_recording
 from idapt_pl.stages.context import StageContext
 from idapt_pl.targets import RecordedTarget
+
+EXPERTS = {"expert": "exploring_expert", "backwards": "exploring_backwards"}
+"""Explorations by policies on states, and the stages that train them."""
 
 MakePolicy = Callable[[int], Policy]
 """Seed to policy."""
@@ -30,8 +34,22 @@ def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) ->
         teacher = source_teacher(c)
         torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
         return OpenLoopReplay(teacher, VectorStateEnv(c.worlds.task, c.worlds.task.domain("source"), num_envs), seed)
+    kinds = exploration.split("+")
+    experts = {kind: expert_of(c, kind) for kind in kinds if kind in EXPERTS}
+    if experts:
+        torch.manual_seed(seed)  # likewise
     with closing(c.worlds.source(num_envs)) as env:
-        return EXPLORATION[exploration](env, seed)
+        policies: list[Policy] = [
+            ExpertAtTheControls(experts[kind], kind) if kind in EXPERTS else EXPLORATION[kind](env, seed)
+            for kind in kinds
+        ]
+    return policies[0] if len(policies) == 1 else TakingTurns(policies, num_envs)
+
+
+def expert_of(c: StageContext, kind: str) -> StateSAC:
+    """An expert of the source, or a policy that is paid for going backwards; trained on states, as a stage."""
+    task = c.worlds.task.backwards() if kind == "backwards" else c.worlds.task
+    return train_expert(task, c.worlds.task.domain("source"), task.expert, c.stages, EXPERTS[kind])
 
 
 def source_teacher(c: StageContext) -> StateSAC:
@@ -39,11 +57,15 @@ def source_teacher(c: StageContext) -> StateSAC:
     return c.teacher.of_the_source(c.new_policy)
 
 
-def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int, horizon: int | None = None) -> Path:
+def record_target(
+    c: StageContext, k: int, make_policy: MakePolicy, steps: int, horizon: int | None = None,
+    seen: Callable[[ImageEnv], ImageEnv] | None = None,
+) -> Path:  # fmt: skip
     """``target.h5`` of a grounding step: so many control steps in the target, images and actions, on the ledger.
 
     What a target that cannot be played again showed before it failed, or the run was stopped, is gone on with. Episodes
-    are begun anew after ``horizon`` steps, if that is given.
+    are begun anew after ``horizon`` steps, if that is given. With ``seen`` the policy sees the target through something
+    that shows its images as ``source_pixels``; they are what is recorded.
 
     Raises:
         TargetFailed: if the target fails; the message says what is kept.
@@ -58,11 +80,11 @@ def record_target(c: StageContext, k: int, make_policy: MakePolicy, steps: int, 
         before = kept.read()
         c.worlds.ledger.count(k, "training", kept.steps)
         if (left := steps - kept.steps) > 0:
-            with closing(c.worlds.blind_target(k)) as env:
+            blind = c.worlds.blind_target(k)
+            with closing(blind if seen is None else seen(blind)) as env:
                 keep = None if target.repeatable else kept.add
-                played = collect(
-                    env, make_policy(seed + len(before)), left, seed + len(before), about, keep=keep, horizon=horizon
-                )
+                number, images = seed + len(before), "pixels" if seen is None else "source_pixels"
+                played = collect(env, make_policy(number), left, number, about, images, keep, horizon)
             before.extend(played)
         return Trajectories(tuple(before), kept.dt, about)
 

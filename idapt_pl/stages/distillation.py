@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -52,6 +54,8 @@ class TeacherSettings:
             anybody's. So the student learns the way back from where its errors lead.
         fading: share of DAgger's steps over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
+        harden: environment steps for which every new teacher of the grounded source goes on with the errors that
+            estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
     """
@@ -65,10 +69,11 @@ class TeacherSettings:
     strays: float = 0.0
     fading: float = 0.5
     updates_per_step: float = 1.0
+    harden: int = 0
     candidates: int = 1
 
     def __post_init__(self) -> None:
-        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse"), COUNT_OR_NONE)
+        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden"), COUNT_OR_NONE)
         errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
         check_ranges(
             "teacher",
@@ -82,6 +87,11 @@ class TeacherSettings:
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
                 "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give both: steps "
                 "and one of these, or none."
+            )
+        if self.harden and not self.rehearse:
+            raise ValueError(
+                f"teacher.harden is {self.harden}, but teacher.rehearse is 0: errors are measured in rehearsals. "
+                "Give both, or teacher.harden 0"
             )
         if self.strays and not self.dagger:
             raise ValueError(
@@ -159,6 +169,7 @@ class Distillation:
         self.expert: StateSAC | None = None
         self._first: StateSAC | None = None  # before any adaptation
         self._dynamics: tuple | None = None  # those that the expert was trained in
+        self._hardened: StateSAC | None = None
 
     def student(
         self,
@@ -225,7 +236,7 @@ class Distillation:
             return expert
 
         def make(device: torch.device) -> VectorEnv:
-            return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+            return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
         count = self.settings.candidates if F is None and not fresh else 1
         names = [name, *(f"{name}_{i}" for i in range(2, count + 1))]
@@ -234,13 +245,35 @@ class Distillation:
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
+    @property
+    def to_be_hardened(self) -> bool:
+        """Whether the teacher is one that has not yet learned to bear measured errors, and shall."""
+        return self.settings.harden > 0 and self.expert is not self._hardened
+
+    def hardened(
+        self, step: int, build: Callable[[], AsymmetricSAC], errors: Callable[[], Sequence[np.ndarray]],
+        make_env: Callable[[torch.device], VectorEnv], F: ActionTransformation | None,
+    ) -> StateSAC:  # fmt: skip
+        """The teacher of :meth:`up_to_date` after it has learned to bear measured errors (T, s)."""
+        recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=self.settings.harden)
+        known = self.expert
+        assert known is not None  # to_be_hardened
+
+        def make(device: torch.device) -> VectorEnv:
+            return self.worlds.source_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+
+        build_expert: Callable[[], StateSAC] = partial(copy.deepcopy, known)
+        self.expert = fit_expert(build_expert, make, recipe, self.stages, step, "hardened_teacher", False, errors)
+        self._hardened = self.expert
+        return self.expert
+
     def best_of(self, step: int, name: str, trained: Sequence[StateSAC]) -> int:
         """Which of several teachers earns most in the source, on states as wrong as in training."""
         if len(trained) == 1:
             return 0
 
         def make(seed: int) -> dict:
-            with closing(self.worlds.source_states(TRIALS)) as env:
+            with closing(self.worlds.training_states(TRIALS)) as env:
                 returns = [round(noisy_return(teacher, env, TRIALS, seed), 2) for teacher in trained]
             log.info("step %d  teachers earn %s in the source; the best goes on", step, returns)
             return {"returns": returns, "chosen": int(np.argmax(returns))}
@@ -250,7 +283,9 @@ class Distillation:
     def of_the_source(self, build: Callable[[], AsymmetricSAC]) -> StateSAC:
         """The teacher as it is before any grounding; it trains now, if it has not yet."""
         if self._first is None:
-            return self.up_to_date(0, "source_teacher", build, lambda device: self.worlds.source(self.num_envs), None)
+            return self.up_to_date(
+                0, "source_teacher", build, lambda device: self.worlds.training_source(self.num_envs), None
+            )
         return self._first
 
 

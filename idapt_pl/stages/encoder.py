@@ -41,9 +41,9 @@ def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTran
 def fit_encoder_on(
     c: StageContext, step: int, name: str, labelled: Sequence[Path], batches: int, pi: AsymmetricSAC
 ) -> AsymmetricSAC:
-    """π with its encoder regressed on the states of labelled, target-like images."""
+    """π with its encoder regressed on the states of labelled, target-like images, in any light."""
     pi = copy.deepcopy(pi)
-    estimator = c.make.state_predictor(**c.worlds.dimensions)
+    estimator = c.make.state_predictor(**c.worlds.dimensions, relight=pi.hparams.relight)
     estimator.P_S.load_state_dict(pi.actor.encoder.state_dict())
     estimator = fit_P_S(c, step, labelled, batches, estimator, name)
     pi.actor.encoder.load_state_dict(estimator.P_S.state_dict())

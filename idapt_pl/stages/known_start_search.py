@@ -143,7 +143,7 @@ def search_from_known_starts(
 
 
 def gain_of(
-    effects: Sequence[Effect], without: np.ndarray, misfit: np.ndarray, of_control: KnownStartForecasts
+    effects: Sequence[Effect], without: np.ndarray, misfit: np.ndarray, of_control: Misfits
 ) -> tuple[tuple[float, float, float], bool]:
     """What effects gain, its standard error, the control's gain, nats; whether that is enough."""
     if not effects:

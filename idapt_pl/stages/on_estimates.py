@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from datamodules.on_policy import encode_all
 from datamodules.stacks import FrameStacks
 from datamodules.stretches import ReadEpisode, StretchDataModule
 from datamodules.unpaired import read_all
+from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
@@ -57,6 +59,24 @@ def fit_on_estimates(
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
+    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
+    if prefix or not c.teacher.to_be_hardened:
+        return pi
+    trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
+
+    def grounded(device: torch.device) -> GroundedEnv:
+        return c.worlds.grounded(c.batches.num_envs, G, F)
+
+    errors = partial(errors_of_estimates, pi, [trial])
+    hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
+    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F)
+
+
+def in_rehearsals(
+    c: StageContext, step: int, prefix: str, lengths: StageLengths, labelled: Sequence[Path], teacher: StateSAC,
+    start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None,
+) -> AsymmetricSAC:  # fmt: skip
+    """π as of :func:`fit_on_estimates`, with this teacher."""
     pi, files = copy.deepcopy(start), list(labelled)
     take_over(teacher, pi)
     for part in ("teacher", "policy"):
@@ -68,6 +88,19 @@ def fit_on_estimates(
     return pi
 
 
+@torch.no_grad()
+def errors_of_estimates(pi: AsymmetricSAC, files: Sequence[Path]) -> list[np.ndarray]:
+    """How far a policy's estimates are off in labelled episodes, (T+1, s) each, in the states' units."""
+    assert pi.filter is not None  # policy.memory is above 0
+    errors = []
+    for episode in read_episodes(pi, files):
+        readings, actions = (torch.from_numpy(a)[None].to(pi.device) for a in (episode.readings, episode.actions))
+        estimates, _ = pi.filter(readings, actions, readings.new_zeros(1, pi.filter.hidden))
+        wrong = pi.filter.bounded(estimates[0]).cpu() - torch.from_numpy(episode.states)
+        errors.append((wrong * pi.actor.encoder.std.cpu()).numpy())
+    return errors
+
+
 def rehearse(
     c: StageContext, step: int, name: str, teacher: StateSAC, policy: AsymmetricSAC | None,
     G: VisualTransformation | None, F: ActionTransformation | None,
@@ -75,7 +108,7 @@ def rehearse(
     """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states."""
 
     def make(seed: int) -> Trajectories:
-        source = c.worlds.source(SIMULATIONS)
+        source = c.worlds.training_source(SIMULATIONS)
         with closing(c.worlds.grounded_over(source, G, F)) as env:
             act = Rehearsal(source, teacher, seed, deterministic(policy) if policy is not None else None)
             return collect(env, act, c.teacher.settings.rehearse // 2, seed, f"rehearsal in the source, step {step}")

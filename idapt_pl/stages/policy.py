@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
+from datamodules.replay import TRANSITION
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
+from idapt_pl.modules.recurrent_policy import REMEMBERED
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.recurrent_experience import RecurrentExperience
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.on_estimates import fit_on_estimates
@@ -41,7 +44,7 @@ def fit_source_policy(
     """
 
     def make_env(device: torch.device) -> VectorEnv:
-        return c.worlds.source(c.batches.num_envs)
+        return c.worlds.training_source(c.batches.num_envs)
 
     def build() -> AsymmetricSAC:
         return c.new_policy(P_S.P_S)
@@ -72,7 +75,8 @@ def fit_grounded_policy(
     """
 
     def make_env(device: torch.device) -> VectorEnv:
-        return c.worlds.grounded(c.batches.num_envs, G.to(device), F.to(device) if F is not None else None)
+        source = c.worlds.training_source(c.batches.num_envs)
+        return c.worlds.grounded_over(source, G.to(device), F.to(device) if F is not None else None)
 
     initial = pi
     if c.teacher.settings.rehearse:
@@ -118,18 +122,23 @@ def fit_policy(
             states = FrameStacks(read_all(familiar), 1, labels="state").labels
             module.set_familiar_states(torch.from_numpy(states).to(device))
         env = make_env(device)
-        buffer = ReplayBuffer(min(b.buffer_size, b.warmup_steps + steps), seed)
-        warm_up = Experience(env, module, seed, random=fresh)
-        for _ in range(int(np.ceil(b.warmup_steps / b.num_envs))):
+        recurrent, length = module.hparams.recurrent, module.hparams.sequence
+        first = max(math.ceil(b.warmup_steps / b.num_envs), length if recurrent else 0)  # a stretch to begin with
+        capacity = max(min(b.buffer_size, b.warmup_steps + steps), first * b.num_envs if recurrent else 0)
+        buffer = ReplayBuffer(capacity - capacity % b.num_envs if recurrent else capacity, seed)
+        warm_up = (RecurrentExperience if recurrent else Experience)(env, module, seed, random=fresh)
+        for _ in range(first):
             buffer.add(warm_up())
         return ReplayDataModule(
-            Experience(env, module, seed + 1),
+            warm_up.itself() if isinstance(warm_up, RecurrentExperience) else Experience(env, module, seed + 1),
             buffer,
             b.policy_batch,
             updates_per_batch=b.updates_per_step * b.num_envs,
             batches=steps // b.num_envs,
             image_batches=round(module.hparams.estimator_updates * b.num_envs) if module.supervised else 0,
             image_batch_size=module.hparams.estimator_batch,
+            names=(*TRANSITION, *REMEMBERED) if recurrent else TRANSITION,
+            stretch=(length, b.num_envs) if recurrent else None,
         )
 
     return c.stages.fit(step, name, lambda: c.new_policy(initial), feed, steps // b.num_envs, finish)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 from idapt_pl.appearance import discover_visual_effects
 from idapt_pl.effects import effect_from_dict
-from idapt_pl.files import write_yaml
+from idapt_pl.files import read_json, write_yaml
 from idapt_pl.image_diagnosis import DiscoverySettings, discover_effects
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.randomisation import found_intervals
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import effects_from_known_starts
+from idapt_pl.stages.replay_search import effects_from_replays
 
 
 @dataclass(frozen=True)
@@ -24,11 +26,14 @@ class SourceRepair:
         context: of the run.
         settings: whether and what to look for.
         record_control: grounding step to a new recording of the source as it is, from exploration, with states.
+        randomised: whether policies train in variants of the source from then on, within the intervals of what is
+            found.
     """
 
     context: StageContext
     settings: DiscoverySettings
     record_control: Callable[[int], Path]
+    randomised: bool = False
 
     def visual_effects(self, D_T: Path) -> None:
         """Add the visual effects that the first frames of the target's episodes show the source to lack."""
@@ -51,6 +56,22 @@ class SourceRepair:
         worlds = self.context.worlds
         target = list(D_T) if k == 0 else [D_T[0], D_T[-1]]
         control = self.record_control(k)
+        if worlds.task.tells_positions:
+            found, estimates = self._found_by_positions(k, target, control, G, pi)
+        else:
+            found, estimates = effects_from_replays(self.context, k, self.settings, target, control, G, pi), []
+        if found and self.randomised:
+            told = self.context.stages.folder(k) / "known_start_search.json"
+            worlds.distribution = found_intervals(
+                found, estimates, read_json(told)["parameters"] if told.exists() else []
+            )
+        return self._add(k, found)
+
+    def _found_by_positions(
+        self, k: int, target: list[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC
+    ) -> tuple[list[dict], list[dict]]:
+        """Effects and what is estimated of them, where states tell positions."""
+        worlds = self.context.worlds
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
 
         def make(seed: int) -> dict:
@@ -59,15 +80,19 @@ class SourceRepair:
             )
             return found.to_dict()
 
-        found = self.context.stages.measure(k, "effects", make)["effects"]
+        result = self.context.stages.measure(k, "effects", make)
+        found = result["effects"]
         if self.settings.refine:
             found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
-        self._add(k, found)
-        return bool(found)
+        return found, result["estimates"]
 
-    def _add(self, k: int, found: list[dict]) -> None:
-        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them."""
+    def _add(self, k: int, found: list[dict]) -> bool:
+        """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them.
+
+        Returns whether there were any.
+        """
         worlds, stages = self.context.worlds, self.context.stages
         worlds.add_effects(effect_from_dict(e) for e in found)
         for folder in (stages.folder(k), stages.run_dir):
             write_yaml(folder / "effects.yaml", [e.to_dict() for e in worlds.added_effects])
+        return bool(found)

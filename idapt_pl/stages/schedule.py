@@ -30,7 +30,10 @@ at first, or on HalfCheetah and Walker2d asks for a checkpoint, here of its usua
 plain source; it is the reference for direct transfer.
 """
 
-FILLED = ("grounding_steps", "source_policy", "pretrain.policy", "finetune.policy")
+WALKED_BACKWARDS = ("half_cheetah", "walker2d")
+"""Tasks whose task-agnostic data the paper collects by walking backwards (Fig. 4); in the others at random."""
+
+FILLED = ("grounding_steps", "source_policy", "pretrain.policy", "finetune.policy", "exploration")
 """Keys of a schedule that may be null: ``lengths`` says then whose numbers they have."""
 
 
@@ -58,7 +61,8 @@ def fill_lengths(schedule: Any, task: str, target: str) -> None:
     if task not in POLICY_STEPS[lengths]:
         raise ValueError(f"schedule.lengths: {lengths} has no steps for the task {task!r}; give schedule.{missing[0]}")
     N = 1 if (lengths, target) == ("paper", "easy") else 5
-    numbers = dict(zip(FILLED, (N, *POLICY_STEPS[lengths][task]), strict=True))
+    exploration = "backwards" if task in WALKED_BACKWARDS else "random"
+    numbers: dict[str, Any] = dict(zip(FILLED, (N, *POLICY_STEPS[lengths][task], exploration), strict=True))
     for key in missing:
         schedule[key] = numbers[key]
     schedule["lengths"] = "given"
@@ -68,6 +72,10 @@ def length_of(steps: int | None) -> int:
     """A number that may be null in a config, once :func:`fill_lengths` has seen it."""
     assert steps is not None, "a schedule was made before its lengths were filled"
     return steps
+
+
+Exploration = Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"]
+"""Policies that collect the task-agnostic data."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,9 @@ class Schedule:
         source_images: control steps in the source's, where they are to be more: labelled images of the source cost no
             target interaction, and P^S and the policy's encoder overfit few. None for as many as ``images``.
         exploration: the policy that collects them, ``random`` (uniform actions), ``babble`` (slower and at several
-            strengths) or ``rehearse`` (what the teacher does in the source, replayed open loop).
+            strengths), ``rehearse`` (what the teacher does in the source, replayed open loop), ``expert`` or
+            ``backwards`` (policies on true states that are trained in the source, the latter paid for going the other
+            way, as if a person were at the controls); or several joined by ``+``, which share the steps evenly.
         exploration_horizon: control steps after which an exploring episode is begun anew, in target and source; None
             for the task's own. What falls early in an episode shows nothing new for the rest of it.
         interactions: control steps taken in the target in each grounding step.
@@ -125,14 +135,18 @@ class Schedule:
         until_settled: end the run with the grounding step whose new recording of the target shows nothing that the
             grounded source does not do already, by images and actions alone; its policy stays. False always takes all
             steps (the paper).
-        lengths: whose numbers ``grounding_steps``, ``source_policy`` and both ``policy`` have where they are null:
-            those of the ``paper`` or of the ``official`` code for the task and target. ``given``: none is null.
+        lengths: whose numbers ``grounding_steps``, ``source_policy`` and both ``policy`` have where they are null, and
+            whose ``exploration``: those of the ``paper`` or of the ``official`` code for the task and target.
+            ``given``: none is null.
     """
 
     grounding_steps: int | None = 5
     images: int = 20_000
     source_images: int | None = None
-    exploration: Literal["random", "babble", "rehearse"] = "random"
+    exploration: (
+        Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"]
+        | None
+    ) = "random"
     exploration_horizon: int | None = None
     interactions: int = 1000
     source_policy: int | None = 10_000
@@ -159,6 +173,12 @@ class Schedule:
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))
+
+
+def policy_steps(schedule: Schedule) -> int:
+    """Environment steps of all of a run's policies together, which references and baselines train for."""
+    steps = length_of(schedule.source_policy) + length_of(schedule.pretrain.policy)
+    return steps + length_of(schedule.grounding_steps) * length_of(schedule.finetune.policy)
 
 
 def check_memory(memory: int, rehearse: int, members: int, schedule: Schedule) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import gymnasium
@@ -30,10 +30,10 @@ class Look:
     view: View = WHOLE
     render_processes: int = 0
 
-    def simulate(self, task: Task, domain: Domain, num_envs: int) -> VectorImageEnv:
-        """Simulations of a domain, seen in this way."""
+    def simulate(self, task: Task, domain: Domain, num_envs: int, variants: Sequence[Domain] = ()) -> VectorImageEnv:
+        """Simulations of a domain, or of variants of it, seen in this way."""
         return VectorImageEnv(
-            task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes
+            task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes, variants
         )
 
 

@@ -101,6 +101,10 @@ class EnvironmentTask(Task):
         if self._told is not None:
             self.rates, self.unseen = self._told.rates, unseen_joints(model, self._told)
 
+    @property
+    def tells_positions(self) -> bool:
+        return self._told is not None
+
     def motion(self, states: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
         return super().motion(states, period) if self._told is None else self._told.motion(states, period)
 

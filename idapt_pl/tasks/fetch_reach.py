@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects import Domain
+from idapt_pl.effects.acting import advance
 from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
 from idapt_pl.effects.packaged import packaged_file
 from idapt_pl.effects.visual import CAMERA, CameraFrame, CameraPose, Color, Light, Material
@@ -87,7 +88,7 @@ class FetchReach(Task):
         hand, mocap = data.body(HAND), int(model.body("robot0:mocap").mocapid[0])
         data.mocap_pos[mocap] = hand.xpos + self.step_length * data.actuator_force[:3]
         data.mocap_quat[mocap] = hand.xquat + FETCH_POINTING_DOWN  # MuJoCo normalises the sum
-        mujoco.mj_step(model, data, self.frame_skip)
+        advance(model, data, self.frame_skip)
         for finger in FINGERS:
             data.joint(finger).qpos = 0.0
         mujoco.mj_forward(model, data)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects import Domain
+from idapt_pl.effects.acting import advance
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.packaged import packaged_file
 from idapt_pl.effects.visual import CAMERA, CameraFrame, Color, Light, Texture
@@ -111,7 +112,7 @@ class SawyerPush(Task):
         end = np.clip(end, (0.26, -0.4, self.height), (1.06, 0.4, self.height))
         for share in np.arange(1, self.waypoints + 1) / self.waypoints:
             self.pull(model, data, start + share * (end - start))
-            mujoco.mj_step(model, data, self.frame_skip // self.waypoints)
+            advance(model, data, self.frame_skip // self.waypoints)
         mujoco.mj_forward(model, data)
 
     def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

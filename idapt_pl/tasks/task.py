@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects import Domain
+from idapt_pl.effects.acting import advance
 from idapt_pl.tasks.recipe import ExpertRecipe
 
 
@@ -61,9 +62,13 @@ class Task(ABC):
             ValueError: where states do not tell.
         """
         raise ValueError(
-            f"effects.discover and labels.members need positions, which the states of {self.name} do not tell. "
-            "Set effects.discover: false and labels.members: 0."
+            f"labels.members needs positions, which the states of {self.name} do not tell. Set labels.members: 0."
         )
+
+    @property
+    def tells_positions(self) -> bool:
+        """Whether :meth:`motion` knows positions of states."""
+        return type(self).motion is not Task.motion
 
     @abstractmethod
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
@@ -72,7 +77,7 @@ class Task(ABC):
     def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
         """Hold an action (nu,), within the actuators' ranges, for ``frame_skip`` physics steps."""
         data.ctrl[:] = action
-        mujoco.mj_step(model, data, self.frame_skip)
+        advance(model, data, self.frame_skip)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
         """Play one control step with an action (nu,). Returns its reward and whether the task is over."""

@@ -20,20 +20,22 @@ from cli.main import main
 CODES = {signal.SIGINT: (130, "Ctrl-C"), signal.SIGTERM: (143, "SIGTERM")}
 
 
-def stopped(command, begun, signals, delay=0.5):
+def stopped(command, begun, signals, delay=0.5, within=90):
     """Exit code and stderr of a command that is sent signals once ``begun()``; none of its group may be left."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "IDAPT_RENDERER": "classic"}
     process = subprocess.Popen(
         [sys.executable, "-m", "cli", *map(str, command)],
         env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, process_group=0,
     )  # fmt: skip
-    until = time.monotonic() + 90
+    until = time.monotonic() + within
     while not begun() and process.poll() is None and time.monotonic() < until:
         time.sleep(0.05)
     time.sleep(delay)
     for number in signals:
         os.killpg(process.pid, number)
-    said = process.communicate(timeout=60)[1]  # waits for whoever else holds stderr, such as processes that render
+    said = process.communicate(timeout=max(60, within))[
+        1
+    ]  # waits for whoever else holds stderr, such as processes that render
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return process.returncode, said

@@ -37,7 +37,7 @@ PAPER = {
     "feeding.garat_start": "identity",
     # Section V-B; Fig. 4 (100 episodes); Appendix: Accumulating Data (not done by default)
     "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
-    "schedule.accumulate": False, "schedule.exploration": "random", "schedule.action_transformation": True,
+    "schedule.accumulate": False, "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False, "schedule.source_actions": "policy",
     "schedule.exploration_horizon": None, "schedule.paired_steps": 0,
     "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
@@ -93,9 +93,70 @@ def test_a_preset_over_any_config_gives_what_its_name_says(config, name):
     assert {key: told(cli, key) for key in VALUES[name]} == VALUES[name]
     lengths = run.schedule.pretrain.policy, run.schedule.finetune.policy
     assert lengths == STEPS[name].get(run.task, (10_000, 10_000)) and run.schedule.source_policy > 0
+    backwards = name == "paper" and run.task in ("half_cheetah", "walker2d")  # Fig. 4
+    assert run.schedule.exploration == ("backwards" if backwards else "random")
     assert run.schedule.grounding_steps == (1 if name == "paper" and run.target == "easy" else 5)
     alone = yaml.safe_load(config.read_text())
     assert (run.task, run.target) == (alone["task"], alone["target"])
+
+
+METHODS = sorted(p.stem for p in preset("paper").parent.glob("*.yaml") if p.stem not in VALUES)
+OFTEN = ("dr_wide", "adaptive_rl", "data_backwards", "cc_state", "paper_small")
+"""Presets that are laid over the cheetah's config too, in the quick tests; the rest is slow."""
+
+
+def leaves(entries, prefix=""):
+    """Dotted keys to values of nested entries."""
+    found = {}
+    for key, value in entries.items():
+        inside = isinstance(value, dict) and value
+        found |= leaves(value, f"{prefix}{key}.") if inside else {f"{prefix}{key}": value}
+    return found
+
+
+def often(config, name):
+    return config.stem == "pendulum_quick" or (config.stem == "cheetah_quick" and name in OFTEN)
+
+
+@pytest.mark.parametrize(
+    ("config", "name"),
+    [
+        pytest.param(c, n, id=f"{c.stem}-{n}", marks=[] if often(c, n) else pytest.mark.slow)
+        for c in CONFIGS if c.stem.endswith("_quick") for n in METHODS
+    ],
+)  # fmt: skip
+def test_a_methods_preset_gives_what_it_says_and_leaves_the_rest(config, name):
+    def flat(*configs):
+        cli = GroundingCLI([a for c in configs for a in ("--config", str(c))])
+        return cli, {k: list(v) if isinstance(v, tuple) else v for k, v in leaves(cli.config.as_dict()).items()}
+
+    said = leaves(yaml.safe_load(preset(name).read_text()))
+    cli, over = flat(config, preset(name))
+    alone = flat(config)[1]
+    filled = {k for k, v in said.items() if v is None and k.startswith("schedule.")} | {"schedule.lengths"}
+    assert {k: over[k] for k in said if k not in filled} == {k: v for k, v in said.items() if k not in filled}
+    changed = {k for k in over if over[k] != alone.get(k)} - {"config"}
+    assert changed <= {*said, *filled}
+    if "backwards" in name and config.stem.split("_")[0] not in ("cheetah", "walker"):
+        with pytest.raises(ValueError, match="has no direction"):
+            cli.run()
+    else:
+        assert cli.run().method is not None
+
+
+def test_the_small_preset_of_the_paper_is_its_method_with_other_sizes():
+    paper, small = (leaves(yaml.safe_load(preset(n).read_text())) for n in ("paper", "paper_small"))
+    view = {"view.share", "view.up"}  # the config's own window, as images are smaller
+    assert set(small) == set(paper) - view
+    sizes = {
+        "image_size", "episodes", "vision.crop", "vision.strides", "visual.width", "visual.blocks",
+        "visual.discriminator_width", "dynamics.hidden", "policy.hidden", "schedule.images", "schedule.source_policy",
+        "feeding.visual_batch", "feeding.num_envs", "feeding.updates_per_step", "feeding.buffer_size",
+        "feeding.garat_rollout",
+    }  # fmt: skip
+    stages = ("state_predictor", "visual", "policy")
+    sizes |= {f"schedule.{part}.{name}" for part in ("pretrain", "finetune") for name in stages}
+    assert {k for k in small if small[k] != paper[k]} <= sizes
 
 
 @pytest.mark.parametrize("name", VALUES)

@@ -100,6 +100,50 @@ def test_coordinates_of_a_floating_base_are_no_machine_parts(name):
     assert "actuated" in {c.target for c in EFFECTS["joint_armature"].candidates(model, typical)}
 
 
+NESTED = """
+<mujoco><worldbody>
+  <body name="x"><joint name="rootx" type="slide" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass="1e-3" diaginertia="1 1 1"/>
+    <body name="z"><joint name="rootz" type="slide" axis="0 0 1"/>
+      <inertial pos="0 0 0" mass="1e-3" diaginertia="1 1 1"/>
+      <body name="trunk"><joint name="pitch" axis="0 1 0"/><geom size="0.1" mass="3"/>
+        <body name="leg"><joint name="hip" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.4" mass="1"/></body>
+      </body></body></body>
+</worldbody><actuator><motor name="hip" joint="hip"/></actuator></mujoco>"""
+ACROBOT = """
+<mujoco><worldbody>
+  <body name="upper"><joint name="shoulder" axis="0 1 0"/><geom size="0.05" pos="0 0 -0.4" mass="1"/>
+    <body name="lower" pos="0 0 -0.4"><joint name="elbow" axis="0 1 0"/>
+      <geom size="0.05" pos="0 0 -0.4" mass="1"/></body>
+  </body>
+</worldbody>{actuator}</mujoco>"""
+
+
+def joints_tried(xml, effect):
+    model = mujoco.MjModel.from_xml_string(xml)
+    ones, commands = np.ones(model.nv), np.ones(model.nu)
+    typical = TypicalSizes(0.02, ones, ones, ones, 20 * ones, commands, commands, 0.2)
+    return {c.target for c in EFFECTS[effect].candidates(model, typical)}
+
+
+@pytest.mark.parametrize("effect", JOINT_EFFECTS)
+def test_coordinates_of_a_base_that_is_several_bodies_are_no_machine_parts(effect):
+    assert not joints_tried(NESTED, effect) & {"rootx", "rootz", "pitch", "*"}
+    assert "hip" in joints_tried(NESTED, effect)
+
+
+def test_a_bearing_at_the_root_has_friction_but_no_rotor_and_no_magnets():
+    driven = ACROBOT.format(actuator='<actuator><motor name="elbow" joint="elbow"/></actuator>')
+    for effect in ("joint_damping", "joint_frictionloss", "sensor_bias"):
+        assert {"shoulder", "elbow"} <= joints_tried(driven, effect), effect
+    for effect in ("joint_armature", "joint_cogging", "joint_backlash"):
+        assert joints_tried(driven, effect) == {"elbow"}, effect
+
+
+def test_without_any_actuator_motors_may_be_switched_off():
+    assert {"shoulder", "elbow"} <= joints_tried(ACROBOT.format(actuator=""), "joint_armature")
+
+
 def test_a_passive_joint_of_a_mechanism_is_a_machine_part():
     model = make_task("inverted_pendulum").domain("source").compile()
     ones = np.ones(model.nv)

@@ -1,12 +1,14 @@
 """Early choices are reopened: a rival takes a place, and what is needless goes."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from idapt_pl.diagnosis import revision
 from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.revision import eliminate_needless, swap_one, with_rival
+from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_one, with_its_doubts, with_rival
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.trial import Trial
@@ -15,6 +17,12 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 
 N = 40
+
+
+@pytest.fixture(autouse=True)
+def no_longer_replays(monkeypatch):
+    """What longer replays say is tested in test_sure.py; here there is no simulator."""
+    monkeypatch.setattr(revision, "worse_replays", lambda context, with_it, without: False)
 
 
 def on(joint, kind=JointDamping, name="damping"):
@@ -93,3 +101,31 @@ def test_more_parameters_have_to_be_worth_it(monkeypatch):
     state, trial = accepted(A, B), Trial(wide, 0, 10.0, (np.full(8, 0.2),), gain=1.0)
     search = context(lambda found: 1.5 if ("joint_frictionloss", "a") in found else 2.0)
     assert swap_one(search, state, 0, [trial]) is state
+
+
+def test_what_makes_longer_replays_worse_is_left_out(monkeypatch):
+    b_makes_worse = lambda context, with_it, without: "joint_damping(b)" not in names(without)  # noqa: E731
+    monkeypatch.setattr(revision, "worse_replays", b_makes_worse)
+    kept = eliminate_needless(context(lambda found: 5.0 - 2 * len(found)), accepted(A, B))
+    assert names(kept) == ["joint_damping(a)"]
+
+
+def test_what_may_be_as_the_model_has_it_is_left_out_and_the_rest_measured_again(monkeypatch):
+    """One interval holds the nominal value; it goes, and the other estimate stays."""
+    ends = {"joint_damping(a)": (0.4, 0.6), "joint_damping(b)": (-0.1, 1.1)}
+    measure = lambda context, state: replace(  # noqa: E731
+        state, accepted=tuple(replace(a, interval=np.array([ends[a.candidate.label]])) for a in state.accepted)
+    )
+    for name, keep in (("measure_intervals", measure), ("renew", lambda context, state: state)):
+        monkeypatch.setattr(revision, name, keep)
+    kept = keep_sure(context(lambda found: 1.0), accepted(A, B))
+    assert names(kept) == ["joint_damping(a)"] and kept.accepted[0].interval.tolist() == [[0.4, 0.6]]
+    nothing = keep_sure(context(lambda found: 1.0), accepted(B))
+    assert nothing.accepted == ()
+
+
+def test_what_the_last_fit_drove_to_the_end_of_its_range_says_so():
+    inside = AcceptedEffect(0, replace(A, plausible=((0.0, 9.0),)), np.array([0.5]))
+    at_end = AcceptedEffect(0, replace(A, plausible=((0.0, 0.5),)), np.array([0.5]))
+    assert not with_its_doubts(inside).implausible
+    assert "damping above 0.5" in with_its_doubts(at_end).implausible

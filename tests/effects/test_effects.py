@@ -17,6 +17,7 @@ from idapt_pl.effects.actuators import (
     ActuatorRotation,
     ActuatorSaturation,
     MotorConstant,
+    MotorResistance,
 )
 from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
 from idapt_pl.effects.contacts import ContactFriction, ContactSoftness
@@ -31,6 +32,7 @@ from idapt_pl.effects.joints import (
     JointStiffness,
     JointStribeck,
 )
+from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
 from idapt_pl.effects.runtime import ForceEffect, SensingEffect
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorBias, SensorDelay, SensorGain
 from idapt_pl.effects.visual import (
@@ -83,6 +85,7 @@ EXAMPLES = [
     BodyCom("link", x=0.01, z=-0.02),
     BodyInertia("link", mass=1.1, rotation=1.2, x=0.01, xy=0.1),
     MotorConstant("dc", 1.2),
+    MotorResistance("dc", 1.2),
     ActuatorRotation("push hold", 0.3),
     ContactSoftness("*", 0.05),
     FluidDrag("world", density=1.2, viscosity=0.1),
@@ -99,6 +102,8 @@ EXAMPLES = [
     ActuatorDeadzone("push", 0.05),
     ExternalForce("block", x=1.0),
     JointCogging("hinge", 0.1),
+    LearnedForce("hinge", "-a*tanh(v/b)", a=0.1, b=0.2),
+    ResidualNetwork("hinge", "q", (1.0,), (1.0, 0.0, 0.5, 0.1), 2.0),
     JointStribeck("slide", 0.1, 0.2),
     SensorBias("hinge", 0.1),
     SensorDelay("*", 0.02),
@@ -504,3 +509,20 @@ def test_masses_are_told_apart_where_static_bodies_are_fused_when_compiled():
         masses[name] = Domain("source", lambda: mujoco.MjSpec.from_string(xml), effects).compile().body_mass
     assert [len(m) for m in masses.values()] == [2, 2] and masses["as it is"][1] == pytest.approx(3.0)
     assert masses["heavier"][1] == pytest.approx(8.0)
+
+
+def test_a_motors_resistance_and_loop_are_its_own(nominal):
+    """gainprm of a dcmotor: resistance, torque constant, ..., gain of its position loop."""
+    assert compiled(MotorResistance("dc", 1.5)).actuator("dc").gainprm[:2].tolist() == [3.0, 0.05]
+    looped = MODEL.replace('input="voltage"', 'input="pos" controller="20 0 0 0 0 12"')
+    spec = mujoco.MjSpec.from_string(looped)
+    ActuatorKp("*", 0.5).apply(spec)
+    model = spec.compile()
+    assert model.actuator("dc").gainprm[[0, 1, 4]].tolist() == [2.0, 0.05, 10.0]
+    assert model.actuator("hold").gainprm[0] == 15.0
+
+
+def test_what_mjcf_cannot_say_of_a_dcmotor_is_not_written_into_its_other_numbers(nominal):
+    for effect in (ActuatorBias("*", 0.1), ActuatorKv("*", 0.3)):
+        after = compiled(effect).actuator("dc")
+        assert after.biasprm.tolist() == nominal.actuator("dc").biasprm.tolist()

@@ -15,13 +15,13 @@ from datamodules.unpaired import read_all
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.modules import AsymmetricSAC, StateSAC
-from idapt_pl.modules.observation_noise import SlowNoise
+from idapt_pl.modules.observation_noise import RecordedErrors, SlowNoise
 from idapt_pl.rl.policy import Acting, deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.smoothing import Smoothed
 from idapt_pl.stages.labels import labelled
-from idapt_pl.stages.on_estimates import fit_on_estimates, read_episodes, take_over
+from idapt_pl.stages.on_estimates import errors_of_estimates, in_rehearsals, read_episodes, take_over
 from idapt_pl.stages.schedule import StageLengths
 
 SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
@@ -182,11 +182,42 @@ def test_errors_of_readings_and_estimates_are_measured_in_units(env, policy):
     assert errors.to_dict()["readings"] == pytest.approx(np.abs(read - obs["state"]).mean(0).tolist(), abs=1e-3)
 
 
+def test_recorded_errors_are_played_in_order_times_one_factor_an_episode():
+    episodes = [np.arange(1.0, 6)[:, None] * [1, 10], np.arange(100.0, 260)[:, None] * [1, 10]]
+    noise, nothing = RecordedErrors(episodes, 3, seed=0), {"observation": np.zeros((3, 2), np.float32)}
+    played = np.stack([noise(nothing)["observation"] for _ in range(400)])
+    np.testing.assert_allclose(played[..., 1], 10 * played[..., 0], rtol=1e-5)  # components stay together
+    factors = noise._factor.copy()
+    assert ((factors >= 0) & (factors <= 2)).all() and len(set(factors)) == 3
+    raw = played[..., 0] / factors
+    known = np.array([0, *episodes[0][:, 0], *episodes[1][:, 0]])
+    assert np.abs(raw[..., None] - known).min(-1).max() < 1e-3, "nothing but what was recorded, and none after an end"
+    in_order = np.isclose(np.diff(raw, axis=0), 1, atol=1e-3).mean()
+    assert 0.75 < in_order < 0.97, "stretches, and jumps between them"
+    noise.renew(np.array([True, False, False]))
+    assert (noise._factor == factors).tolist() == [False, True, True]
+
+
+def test_errors_of_estimates_are_what_the_policy_lives_with_while_it_acts(tmp_path, env, policy):
+    act, (obs, _) = deterministic(policy), env.reset(seed=3)
+    scale = [p.numpy() for p in (policy.actor.encoder.std, policy.actor.encoder.mean)]
+    frames, states, actions, lived = [], [], [], []
+    for _ in range(6):
+        actions.append(act(obs["pixels"])[0])
+        frames.append(obs["pixels"][0, -1]), states.append(obs["state"][0])
+        lived.append(act.estimates[0].numpy() * scale[0] + scale[1] - obs["state"][0])
+        obs, *_ = env.step(np.stack([actions[-1], actions[-1]]))
+    seen = {"pixels": np.stack([*frames, obs["pixels"][0, -1]]), "state": np.stack([*states, obs["state"][0]])}
+    write_trajectories(tmp_path / "d.h5", Trajectories((Episode(np.stack(actions), seen),), env.dt))
+    (errors,) = errors_of_estimates(policy, [tmp_path / "d.h5"])
+    np.testing.assert_allclose(errors[:6], lived, atol=2e-4)
+
+
 # --- a run ----------------------------------------------------------------------------------------------
 
 ON_ESTIMATES = TINY | {
     "teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 0, "teacher.rehearse": 64, "teacher.noise": 0.1,
-    "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "labels.lag": 2,
+    "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "labels.lag": 2,
     "schedule.grounding_steps": 1, "schedule.source_policy": 0,
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
@@ -217,6 +248,18 @@ def test_a_run_leaves_rehearsals_with_states_and_a_policy_with_a_filter(run):
     episodes = read_episodes(loaded, [run / "step_01/rehearsal_policy.h5"])
     assert all(e.readings.shape == e.states.shape and len(e.actions) == len(e.states) for e in episodes)
     assert all((e.actions[0] == 0).all() and np.abs(e.actions).max() <= 1 for e in episodes)
+
+
+def test_a_run_hardens_every_teacher_that_is_new_and_rehearses_with_it(run):
+    def heads(step, *stages):
+        files = (run / f"step_{step:02d}/{name}/final.ckpt" for name in stages)
+        return [torch.load(file, weights_only=True)["state_dict"]["actor.head.2.weight"] for file in files]
+
+    soft, hard, acting = heads(0, "source_teacher", "hardened_teacher", "policy")
+    assert not torch.equal(soft, hard) and torch.equal(hard, acting)
+    adapted, again, acting = heads(1, "teacher", "hardened_teacher", "policy")  # F is new, and so is its teacher
+    assert not torch.equal(adapted, again) and torch.equal(again, acting)
+    assert (run / "step_01/trial_rehearsal.h5").exists()
 
 
 def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
@@ -267,7 +310,7 @@ def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeyp
     monkeypatch.setattr(f"{stages}.fit_encoder_on", lambda c, k, name, files, n, pi: marked(pi, len(files)))
     monkeypatch.setattr(f"{stages}.fit_filter", lambda c, k, name, files, n, pi: marked(pi, 10 + len(files)))
     lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
-    learned = fit_on_estimates(None, 0, "", lengths, ["labelled"], teacher, policy)
+    learned = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None)
     assert played[0] is None and played[1].number == 12 and learned.number == 13
 
 
@@ -315,14 +358,16 @@ def test_the_evaluation_says_how_wrong_the_policy_is_about_the_state(run):
     ("changed", "message"),
     [
         ({"policy.memory": 0}, "a filter learns in rehearsals"),
-        ({"teacher.rehearse": 0, "teacher.dagger": 16}, "a filter learns in rehearsals"),
+        ({"teacher.rehearse": 0, "teacher.harden": 0, "teacher.dagger": 16}, "a filter learns in rehearsals"),
+        ({"teacher.rehearse": 0, "teacher.dagger": 16}, "errors are measured in rehearsals"),
         ({"teacher.dagger": 16}, "one of"),
         ({"schedule.pretrain.policy": 12}, "SAC does not go on"),
         ({"schedule.pretrain.filter": 0}, "schedule.pretrain.filter is 0"),
         ({"schedule.pretrain.rehearsed": 1}, "schedule.pretrain.rehearsed is 1"),
         ({"filter.dropout": 1}, "filter.dropout"),
         ({"labels.members": 1}, "one guess has no spread"),
-        ({"labels.members": 8, "policy.memory": 0, "teacher.rehearse": 0, "teacher.dagger": 16}, "Give all three"),
+        ({"labels.members": 8, "policy.memory": 0, "teacher.rehearse": 0, "teacher.harden": 0, "teacher.dagger": 16},
+         "Give all three"),
         ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
           "feeding.garat_start": "identity"}, "a filter needs readings of states"),
     ],

@@ -1,0 +1,285 @@
+"""Effects that change while they are recorded: is a parameter the same throughout, does it drift, or step?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from idapt_pl.diagnosis.change_statistics import (
+    FEWEST_STRETCHES,
+    TimeShape,
+    WindowScores,
+    WindowTimes,
+    constancy_test,
+    scores_of,
+    time_clusters,
+    time_shapes,
+)
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.law_search import LEFT_OVER
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.runtime import SensingEffect
+from idapt_pl.effects.wording import unit_at
+from idapt_pl.effects.world import ExternalForce
+from idapt_pl.estimation.least_squares import robust_loss
+
+LEVEL = 0.01
+"""Share of recordings of what is constant in which a change is reported, over all parameters and kinds of change."""
+
+LEAST_CHANGE = 0.1
+"""Of the parameter's size (or, near 0, of its scale) that a change must come to."""
+
+MOST_OF_REST = 0.3
+"""Share of what is left that a change over the recordings must explain, so that no law is looked for."""
+
+SHOWN_STRETCHES = 6
+"""Within an episode, for which the values are shown where it changes there."""
+
+
+@dataclass(frozen=True)
+class ChangeFinding:
+    """A parameter of an effect that changes.
+
+    Attributes:
+        effect, target, parameter: which.
+        unit: of it.
+        kind: how it changes, as of :class:`TimeShape`.
+        first, last: its value at the beginning and at the end of the change.
+        at: time constant or time of a step, s; None for drifts.
+        episode: in which a step over the recordings lies; None for others.
+        p: of a parameter that is constant to look like this.
+        removed_share: of the squared error of all windows above the noise floor that the change removes.
+        series: stretches: where (an episode's number, or seconds), value, half of the 95 % interval.
+    """
+
+    effect: str
+    target: str
+    parameter: str
+    unit: str
+    kind: str
+    first: float
+    last: float
+    at: float | None
+    episode: int | None
+    p: float
+    removed_share: float
+    series: Sequence[tuple[float, float, float]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in ``report.json``."""
+        values = dict(vars(self))
+        values["series"] = [{"at": a, "value": v, "half_width": h} for a, v, h in self.series]
+        return values
+
+
+@dataclass(frozen=True)
+class ChangeReport:
+    """What the test for constancy came to: how many parameters were tested, and those that change."""
+
+    tested: int
+    found: Sequence[ChangeFinding]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in ``report.json``."""
+        return {"tested": self.tested, "found": [f.to_dict() for f in self.found]}
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterInTime:
+    """A parameter whose constancy is tested.
+
+    Attributes:
+        candidate: whose it is.
+        k: its number there.
+        value: the best constant one.
+        slopes: d whitened residual / d parameter of all windows in order, (n, rows).
+        accepted: the accepted effect that it belongs to; None for a candidate that is not accepted.
+    """
+
+    candidate: Candidate
+    k: int
+    value: float
+    slopes: np.ndarray
+    accepted: AcceptedEffect | None
+
+
+def find_changes(context: SearchContext, state: SearchState) -> ChangeReport | None:
+    """Which parameters change: of the accepted effects, and where much is left, of other candidates.
+
+    None where there is nothing to test, or too little to tell.
+    """
+    at = windows_in_order(context, state)
+    clusters = time_clusters(at)
+    if len(np.unique(clusters)) < FEWEST_STRETCHES:
+        return None
+    context.progress("does it change?", 0.9)
+    z = all_windows(context, state, state.effects, at.order)
+    accepted = accepted_parameters(context, state, at.order, z)
+    shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
+    found = changing_ones(context, state, at, z, accepted, accepted, shapes, clusters)
+    tested = len(accepted)
+    if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.removed_share for f in found[:1]) < MOST_OF_REST:
+        others = other_candidates(context, state, at.order, z)
+        tested += len(others)
+        found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
+        found = [f for f in found if f.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
+    return ChangeReport(tested, found) if tested else None
+
+
+def changing_ones(
+    context: SearchContext, state: SearchState, at: WindowTimes, z: np.ndarray, tested: Sequence[ParameterInTime],
+    accepted: Sequence[ParameterInTime], shapes: Sequence[TimeShape], clusters: np.ndarray,
+) -> list[ChangeFinding]:  # fmt: skip
+    """Those of some parameters that surely change, what explains most first; accepted ones are fitted beside each."""
+    if not tested:
+        return []
+    scores = [scores_of(z, [t.slopes for t in accepted if t is not own], own.slopes, clusters) for own in tested]
+    best, p = constancy_test(scores, shapes, clusters, context.seed)
+    found = [
+        finding
+        for t, w, shape, chance in zip(tested, scores, best, p, strict=True)
+        if chance <= LEVEL and (finding := describe(context, state, at, w, shape, t, chance, z))
+    ]
+    found.sort(key=lambda f: -f.removed_share)
+    return [f for f in found if f.removed_share > 0.25 * found[0].removed_share]
+
+
+def changes_over_recordings(changes: ChangeReport | None) -> bool:
+    """Whether a change from recording to recording explains much of what is left: no law within one can."""
+    found = changes.found if changes is not None else ()
+    return any(f.kind in ("drift_over", "step_over") and f.removed_share > MOST_OF_REST for f in found)
+
+
+def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
+    """All windows, fitted and held out."""
+    both = [state.windows.fit.windows, state.windows.held_out.windows]
+    episode, start = (np.concatenate([getattr(w, name) for w in both]) for name in ("episode", "start"))
+    order = np.lexsort((start, episode))
+    data = context.sim.data
+    time = np.array([data[e].time[s] - data[e].time[0] for e, s in zip(episode, start, strict=True)])
+    return WindowTimes(episode[order], time[order], order)
+
+
+def all_windows(context: SearchContext, state: SearchState, effects: Effects, order: np.ndarray) -> np.ndarray:
+    """Whitened residuals of fitted and held-out windows in order, (n, rows)."""
+    splits = (state.windows.fit, state.windows.held_out)
+    return np.concatenate([context.whitened(split, effects) for split in splits])[order]
+
+
+def accepted_parameters(
+    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
+) -> list[ParameterInTime]:
+    """Those parameters of accepted effects that say how strong they are."""
+    out = []
+    for n, a in enumerate(state.accepted):
+        for k in range(a.candidate.strength or a.candidate.size):
+            x = [e.copy() for e in state.estimates]
+            x[n][k] += (h := small_step(a.candidate, a.x, k))
+            moved = all_windows(context, state, state.with_estimates(x).effects, order)
+            out.append(ParameterInTime(a.candidate, k, float(a.x[k]), (moved - z) / h, a))
+    return out
+
+
+def other_candidates(
+    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
+) -> list[ParameterInTime]:
+    """The first parameter of every candidate that is not accepted: at its nominal value."""
+    known, out = {a.candidate.label for a in state.accepted}, []
+    for c in context.candidates:
+        if c.label in known or issubclass(c.kind, SensingEffect | ExternalForce):
+            continue
+        x = np.array(c.nominal, float)
+        x[0] += (h := small_step(c, x, 0))
+        slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - z) / h
+        if np.linalg.norm(slopes) * c.scale[0] > 1.0:
+            out.append(ParameterInTime(c, 0, float(c.nominal[0]), slopes, None))
+    return out
+
+
+def small_step(c: Candidate, x: np.ndarray, k: int) -> float:
+    """A step of a parameter for a slope, inside its bounds."""
+    h = 0.05 * c.scale[k]
+    return -h if x[k] + h > c.bounds()[1][k] else h
+
+
+def describe(
+    context: SearchContext, state: SearchState, at: WindowTimes, w: WindowScores, s: TimeShape, t: ParameterInTime,
+    p: float, z: np.ndarray,
+) -> ChangeFinding | None:  # fmt: skip
+    """A change in numbers; None where it is too small to matter."""
+    c, k, value = t.candidate, t.k, t.value + w.constant
+    f = s.f - (w.information @ s.f) / w.information.sum()
+    slope = -float(w.score @ f) / float(w.information @ np.square(f))
+    ends = value + slope * (f[[np.argmin(at.time), np.argmax(at.time)]] if "within" in s.kind else f[[0, -1]])
+    if "step" in s.kind:
+        ends = np.array(
+            [refit_alone(context, state, t, at, s.f == side, e) for side, e in zip((0, 1), ends, strict=True)]
+        )
+    low, high = (float(b[k]) for b in c.bounds())
+    ends = np.clip(ends, low, high)
+    if abs(ends[1] - ends[0]) < LEAST_CHANGE * max(abs(value), abs(value - c.nominal[k]), c.scale[k]):
+        return None
+    removable = max(float(np.minimum(np.square(z), 36).sum()) - z.size, 1e-9)
+    gain = float(np.square(w.score @ f) / (w.information @ np.square(f)))
+    gain += w.constant**2 * float(w.information.sum()) * (t.accepted is None)
+    first, last = (float(f"{e:.4g}") for e in ends)
+    return ChangeFinding(
+        effect=c.kind.name,
+        target=c.target,
+        parameter=c.names[k],
+        unit=unit_at(context.sim.model, c.target, c.units()[k]),
+        kind=s.kind,
+        first=first,
+        last=last,
+        at=None if np.isnan(s.at) else round(s.at, 4),
+        episode=None if s.episode < 0 else s.episode,
+        p=p,
+        removed_share=round(min(gain / removable, 1.0), 4),
+        series=series_of(at, w, s, value),
+    )
+
+
+def refit_alone(
+    context: SearchContext, state: SearchState, t: ParameterInTime, at: WindowTimes, rows: np.ndarray, guess: float
+) -> float:
+    """The parameter by simulation of some of the fitted windows alone, the other effects as they are."""
+    split = state.windows.fit
+    chosen = np.sort(at.order[rows & (at.order < len(split.windows))])
+    if len(chosen) < 5:
+        return guess
+    rest = state if t.accepted is None else state.without(t.accepted)
+    x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
+    one = only_parameter(t.candidate, t.k, x)
+    return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
+
+
+def only_parameter(c: Candidate, k: int, x: np.ndarray) -> Candidate:
+    """A candidate with one free parameter, the others as in x."""
+    held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(c.names, x, strict=True)) if i != k)
+    span = None if c.span is None else (c.span[k],)
+    names, nominal, scale = (c.names[k],), (c.nominal[k],), (c.scale[k],)
+    fixed = (*c.fixed, *held)
+    return replace(c, names=names, nominal=nominal, scale=scale, span=span, fixed=fixed, starts=(), strength=None)
+
+
+def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> list[tuple[float, float, float]]:
+    """Values in stretches: of time in the episode, or episode by episode."""
+    bins = at.episode.astype(float)
+    places = np.unique(bins)
+    if "within" in s.kind:
+        edges = np.linspace(0, at.time.max() + 1e-9, SHOWN_STRETCHES + 1)
+        bins = np.digitize(at.time, edges) - 1.0
+        places = np.unique(bins)
+    out = []
+    for b in places:
+        rows = bins == b
+        information = float(w.information[rows].sum())
+        where = float(at.time[rows].mean()) if "within" in s.kind else float(b)
+        half = 1.96 * np.sqrt(w.dispersion / information)
+        out.append((round(where, 4), value - float(w.score[rows].sum()) / information, float(half)))
+    return out

@@ -1,0 +1,91 @@
+"""How short forecasts respond to forces: what a term of a law would do to them, without simulating it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.law_history import remembered
+from idapt_pl.diagnosis.search_state import SearchState
+from idapt_pl.diagnosis.whitening import WhitenedWindows, whiten
+from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
+from idapt_pl.effects.expression import parse_expression
+from idapt_pl.effects.learned import JointSignals, LearnedForce
+
+PUSH = 0.1
+"""Size of the trial force, in units of what would stop a joint within a forecast."""
+
+
+def force_response(
+    context: SearchContext, state: SearchState, split: WhitenedWindows, dofs: np.ndarray, size: np.ndarray
+) -> np.ndarray:
+    """D whitened residual / d force on a degree of freedom in a control step of the window, (n, rows, dofs, steps).
+
+    Args:
+        context: of the search.
+        state: the current model.
+        split: windows.
+        dofs: degrees of freedom, (d,).
+        size: of the trial force on each, (d,).
+    """
+    sim, n, steps = context.sim, len(split.windows), context.steps
+    base = sim.residual(state.effects, split.windows)
+    out = []
+    for v, force in zip(dofs, size, strict=True):
+        each = []
+        for k in range(steps):
+            push = np.zeros((n, steps, sim.model.nv))
+            push[:, k, v] = force
+            moved = sim.residual(state.effects, split.windows, push=push)
+            each.append(whiten(split.W, moved - base) / force)
+        out.append(np.stack(each, -1))
+    return np.stack(out, 2)
+
+
+@dataclass(frozen=True)
+class WindowSignals:
+    """JointSignals of a joint in every control step of windows, from what was measured.
+
+    Attributes:
+        joint: its number.
+        now: at the middle of each step, (n, steps) each.
+    """
+
+    joint: int
+    now: JointSignals
+
+
+def measured_signals_of(context: SearchContext, windows: Windows, joints: list[int]) -> list[WindowSignals]:
+    """JointSignals of some joints, in the middle of each control step: the mean of the samples before and after."""
+    sim, m, steps = context.sim, context.sim.model, context.steps
+    at = windows.start[:, None] + np.arange(steps + 1)
+    take = lambda name: np.stack([getattr(sim.data[e], name)[k] for e, k in zip(windows.episode, at, strict=True)])  # noqa: E731
+    qpos, qvel, time = take("qpos"), take("qvel"), take("time")
+    began = np.array([sim.data[e].time[0] for e in windows.episode])[:, None]
+    commands = np.stack([sim.data[e].actions[k[:-1]] for e, k in zip(windows.episode, at, strict=True)])
+    flat = lambda x: x.reshape(-1, x.shape[-1])  # noqa: E731
+    middle = lambda x: flat(0.5 * (x[:, 1:] + x[:, :-1]))  # noqa: E731
+    now = MotionNow(middle(qpos), middle(qvel), flat(commands), np.zeros((len(commands) * steps, m.na)),
+                    middle(time[..., None])[:, 0] - np.repeat(began, steps, 1).ravel())  # fmt: skip
+    motor, load = ActingForces(m, []).loads(now)
+    return [
+        WindowSignals(j, {k: x.reshape(-1, steps) for k, x in joint_signals(m, j, now, motor, load).items()})
+        for j in joints
+    ]
+
+
+def term_values(context: SearchContext, windows: Windows, seen: WindowSignals, formula: str) -> np.ndarray:
+    """What a formula without coefficients comes to in every control step of windows, (n, steps)."""
+    expression, steps = parse_expression(formula), context.steps
+    shape = seen.now["q"].shape
+    memory = np.zeros((*shape, 0))
+    if expression.memories:
+        law = LearnedForce(context.sim.model.joint(seen.joint).name, formula)
+        past = remembered(ActingForces(context.sim.model, [law]), context.sim.data)
+        at = windows.start[:, None] + np.arange(steps + 1)
+        samples = past[windows.episode[:, None], at]
+        memory = 0.5 * (samples[:, 1:] + samples[:, :-1])
+    return np.broadcast_to(expression.value(seen.now, memory), shape)

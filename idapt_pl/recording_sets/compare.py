@@ -1,0 +1,142 @@
+"""What was found, fitted to each file alone: which values differ?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from idapt_pl.diagnosis.candidate_fit import effects_of, split_parameters
+from idapt_pl.diagnosis.data import sample_windows
+from idapt_pl.diagnosis.measurement import with_interval
+from idapt_pl.diagnosis.result import ParameterEstimate
+from idapt_pl.diagnosis.search import Diagnosis
+from idapt_pl.diagnosis.summary import significant
+from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
+from idapt_pl.effects.wording import unit_at
+from idapt_pl.estimation.intervals import covariance
+from idapt_pl.recording_sets.join import RecordingSet
+from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
+
+MOST_WINDOWS = 250
+"""Windows of each file."""
+
+FEWEST_CLUSTERS = 8
+"""Where a file has fewer episodes, stretches of them stand for episodes in intervals."""
+
+CHANCE = 0.005
+"""Chance that any value is said to differ although none does, if intervals are as wide as they should be."""
+
+WORTH_SAYING = 0.05
+"""A difference also has to be so large, in units of what is noticeable."""
+
+MUCH_MORE = 1.3
+"""Error left in a file, in that of the typical one, from which something else differs there."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnFit:
+    """The common answer's effects, fitted to one file.
+
+    Attributes:
+        x: their parameters one after the other, (p,).
+        half: half widths of their 95 % intervals, (p,).
+        result: the same for the report.
+    """
+
+    x: np.ndarray
+    half: np.ndarray
+    result: SetResult
+
+
+def compare_sets(diagnosis: Diagnosis, sets: Sequence[RecordingSet]) -> SetComparison:
+    """Fit what a diagnosis of all files found to each of them alone, and compare.
+
+    Args:
+        diagnosis: of all recordings together.
+        sets: the files.
+
+    Raises:
+        ValueError: no episode of a file is as long as a window.
+    """
+    fits = [fit_to_set(diagnosis, s) for s in sets]
+    results = tuple(f.result for f in fits)
+    left = np.array([r.own for r in results])
+    unlike = [r.recordings.name for r in results if r.own > MUCH_MORE * max(float(np.median(left)), 1.0)]
+    return SetComparison(
+        results, tuple(changed_values(diagnosis, fits)), tuple(unlike), tuple(diagnosis.result.effects)
+    )
+
+
+def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
+    """The common answer's effects, fitted to one file."""
+    context, state = diagnosis.context, diagnosis.state
+    sim, noise = context.sim, state.windows.noise
+    windows = sample_windows(sim.data, np.array(recordings.episodes), context.steps, 5, MOST_WINDOWS, context.seed)
+    if not len(windows):
+        raise ValueError(f"{recordings.name}: no episode is as long as a window of {context.steps} control steps")
+    at = initial_sensitivity(sim, state.effects, windows, noise.start)
+    split = WhitenedWindows(windows, whitener(at, noise, sim.compared))
+
+    def error(effects: tuple) -> float:
+        return round(float(np.sqrt(context.loss(split, effects).mean())), 4)
+
+    before, common = error(context.declared), error(state.effects)
+    if not state.accepted:
+        return OwnFit(np.zeros(0), np.zeros(0), SetResult(recordings, before, common, common, {}))
+    fit = context.fit(split, state.fixed, state.candidates, state.estimates, 5)
+    own = error((*state.fixed, *effects_of(state.candidates, fit.x)))
+    clusters = clusters_of(windows.episode, windows.start)
+    V = covariance(fit.solution, clusters)
+    scale = np.concatenate([c.scale for c in state.candidates])
+    half = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0)) * scale
+    halves = split_parameters(state.candidates, half)
+    timestep, values = sim.compile(state.fixed).opt.timestep, dict[SetValue, ParameterEstimate]()
+    for a, x, h in zip(state.with_estimates(fit.x).accepted, fit.x, halves, strict=True):
+        c, interval = a.candidate, with_interval(a, h, timestep).interval
+        assert interval is not None
+        for name, nominal, v, (low, high), unit in zip(c.names, c.nominal, x, interval, c.units(), strict=True):
+            values[c.kind.name, c.target, name] = ParameterEstimate(
+                significant(nominal, 6), significant(v, 6), (significant(low, 6), significant(high, 6)),
+                unit_at(sim.model, c.target, unit),
+            )  # fmt: skip
+    return OwnFit(np.concatenate(fit.x), half, SetResult(recordings, before, common, own, values))
+
+
+def clusters_of(episode: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Windows that may err alike, (n,): those of an episode, or of a stretch of it where episodes are few."""
+    names = np.unique(episode)
+    if len(names) >= FEWEST_CLUSTERS:
+        return episode
+    parts, out = -(-FEWEST_CLUSTERS // len(names)), np.zeros(len(episode), int)
+    for k, e in enumerate(names):
+        rows = np.flatnonzero(episode == e)
+        rank = np.argsort(np.argsort(start[rows], kind="stable"), kind="stable")
+        out[rows] = k * parts + rank * parts // len(rows)
+    return out
+
+
+def changed_values(diagnosis: Diagnosis, fits: Sequence[OwnFit]) -> list[ChangedValue]:
+    """Values that differ between files surely and noticeably, the surest first.
+
+    The pair of files that differ most decides, at a level that allows for all pairs and all values.
+    """
+    candidates = diagnosis.state.candidates
+    values = [(c.kind.name, c.target, name) for c in candidates for name in c.names]
+    scale = np.concatenate([c.scale for c in candidates]) if candidates else np.zeros(0)
+    pairs = list(combinations(range(len(fits)), 2))
+    sure = float(norm.isf(CHANCE / 2 / max(len(pairs) * len(values), 1)))
+    found = []
+    for k, value in enumerate(values):
+        x, error = (np.array([getattr(f, n)[k] for f in fits]) for n in ("x", "half"))
+        error = error / norm.isf(0.025)
+        sigmas = [abs(x[i] - x[j]) / max(float(np.hypot(error[i], error[j])), 1e-12) for i, j in pairs]
+        if not sigmas or max(sigmas) < sure or np.ptp(x) < WORTH_SAYING * scale[k]:
+            continue
+        names = [f.result.recordings.name for f in fits]
+        found.append(ChangedValue(value, names[int(np.argmin(x))], names[int(np.argmax(x))], float(max(sigmas))))
+    return sorted(found, key=lambda c: -c.sigmas)

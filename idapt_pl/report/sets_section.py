@@ -1,0 +1,142 @@
+"""Several recordings on the page of a diagnosis: values over files, and what changed."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from idapt_pl.diagnosis.result import ParameterEstimate
+from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
+from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
+from idapt_pl.report.html import figure, paragraph, row, section, table
+from idapt_pl.report.plots import AFTER, BEFORE, NOISE, STYLE, escape_mathtext, svg
+
+COMMON_IS_WORSE = 1.3
+"""Errors with the common answer, in those with a file's own values, from which the common answer is not enough."""
+
+
+def name_of_value(value: SetValue, comparison: SetComparison) -> str:
+    """A value in words: the effect, and the parameter where it has several."""
+    effect, target, parameter = value
+    several = sum(v[:2] == (effect, target) for v in comparison.sets[0].values) > 1
+    return phrase_at(effect, target) + (f" ({parameter})" if several else "")
+
+
+def comparison_sentences(comparison: SetComparison) -> list[str]:
+    """What differs between the files, as sentences."""
+    files = len(comparison.sets)
+    made = [changed_sentence(c, comparison) for c in comparison.changed]
+    if not made and comparison.sets[0].values:
+        made.append(f"None of the values found differs surely between the {files} files.")
+    if not comparison.sets[0].values:
+        made.append(f"No effect was found in all {files} files together, so there are no values to compare.")
+    if told := common_is_worse(comparison):
+        made.append(told)
+    for r in comparison.sets:
+        if r.recordings.name in comparison.unlike:
+            made.append(
+                f"In {r.recordings.name} an error of {format_number(r.own)} times the noise is left, more than in the "
+                "others: something else differs there; diagnose it alone."
+            )
+    return made
+
+
+def common_is_worse(comparison: SetComparison) -> str:
+    """That one value for all files leaves more than each file's own, where it does; else empty."""
+    worst = max(comparison.sets, key=lambda r: r.common / max(r.own, 1e-9))
+    if worst.common < COMMON_IS_WORSE * worst.own or not comparison.changed:
+        return ""
+    return (
+        f"One value for all files leaves {format_number(worst.common)} times the noise in {worst.recordings.name}, its "
+        f"own {format_number(worst.own)}: take each file's own values."
+    )
+
+
+def changed_sentence(c: ChangedValue, comparison: SetComparison) -> str:
+    """One value that differs, from the first file to the last where these differ most."""
+    by_file = {r.recordings.name: r.values[c.value] for r in comparison.sets}
+    order = [n for n in by_file if n in (c.lowest, c.highest)]
+    told = [f"{value_in_words(by_file[n])} in {n}" for n in order]
+    what = "rose" if order[0] == c.lowest else "fell"
+    return f"{name_of_value(c.value, comparison)} {what} from {' to '.join(told)} ({c.sigmas:.0f} standard errors)."
+
+
+def value_in_words(p: ParameterEstimate) -> str:
+    """A value with its unit."""
+    value, _ = format_estimate(p.estimate, p.ci95)
+    return value + (f" {p.unit}" if p.unit not in ("", "1") else "")
+
+
+def set_cells(r: SetResult, comparison: SetComparison) -> list[str]:
+    """A file as cells: name, episodes, errors, values with their intervals."""
+    episodes = r.recordings.episodes
+    which = f"{episodes[0]} to {episodes[-1]}" if len(episodes) > 1 else f"{episodes[0]}"
+    values = []
+    for p in r.values.values():
+        value, interval = format_estimate(p.estimate, p.ci95)
+        values.append(f"{value} ({interval})" if interval else value)
+    return [r.recordings.name, which, *(format_number(x) for x in (r.before, r.common, r.own)), *values]
+
+
+def set_heads(comparison: SetComparison) -> list[str]:
+    """Heads of the table of files."""
+    values = comparison.sets[0].values
+    named = [
+        f"{name_of_value(v, comparison)}{f', {p.unit}' if p.unit not in ('', '1') else ''}" for v, p in values.items()
+    ]
+    return ["file", "episodes", "before", "common", "own", *named]
+
+
+def comparison_section(comparison: SetComparison | None) -> str:
+    """The section of the page; empty for a single file."""
+    if comparison is None:
+        return ""
+    heads = set_heads(comparison)
+    rows = [row(*(c if i < 2 else f"#{c}" for i, c in enumerate(set_cells(r, comparison)))) for r in comparison.sets]
+    caption = (
+        "Errors in standard deviations of the noise, on all episodes of a file: before, with the common answer, and "
+        "with the same effects fitted to the file alone. Values are these own ones, with 95 % intervals."
+    )
+    parts = [*map(paragraph, comparison_sentences(comparison))]
+    parts.append(table([h if i < 2 else f"#{h}" for i, h in enumerate(heads)], rows))
+    parts.append(paragraph(caption, "small"))
+    if comparison.sets[0].values:
+        drawn = f'<div class="wide">{styled_values_figure(comparison)}</div>'
+        told = "Values by file, with 95 % intervals; the band is the common answer. Red: differs between files."
+        parts.append(figure(drawn, told))
+    return section("File by file", *parts)
+
+
+def styled_values_figure(comparison: SetComparison) -> str:
+    """The picture as SVG, in the style of all."""
+    with matplotlib.rc_context(STYLE):
+        return svg(values_figure(comparison))
+
+
+def values_figure(comparison: SetComparison) -> Figure:
+    """Every value over the files, and the common answer."""
+    values = list(comparison.sets[0].values)
+    common = {(*e.key, name): p for e in comparison.effects for name, p in e.parameters.items()}
+    changed = {c.value for c in comparison.changed}
+    columns = min(2, len(values))
+    lines = -(-len(values) // columns)
+    made = Figure(figsize=(8.6, 0.4 + 2.1 * lines), layout="constrained")
+    axes = made.subplots(lines, columns, squeeze=False).ravel()
+    at = np.arange(len(comparison.sets))
+    for axis, value in zip(axes, values, strict=False):
+        own = [r.values[value] for r in comparison.sets]
+        x = np.array([float(p.estimate) for p in own])
+        ends = np.array([p.ci95 or (p.estimate, p.estimate) for p in own], float)
+        band = common[value].ci95
+        if band is not None:
+            axis.axhspan(*band, color=NOISE, alpha=0.5, lw=0)
+        colour = BEFORE if value in changed else AFTER
+        axis.errorbar(at, x, yerr=np.abs(ends.T - x), fmt="o", color=colour, capsize=3, ms=5)
+        axis.set_xlim(-0.5, len(at) - 0.5)
+        axis.set_xticks(at, [escape_mathtext(r.recordings.name) for r in comparison.sets], fontsize=8)
+        unit = f" ({own[0].unit})" if own[0].unit not in ("", "1") else ""
+        axis.set_title(escape_mathtext(name_of_value(value, comparison) + unit), loc="left", fontsize=10)
+    for axis in axes[len(values) :]:
+        axis.set_visible(False)
+    return made

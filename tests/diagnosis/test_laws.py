@@ -1,0 +1,152 @@
+"""Laws of force where the library has no effect: found with joint and dependence, and not where nothing is."""
+
+import functools
+
+import mujoco
+import numpy as np
+import pytest
+
+from datamodules import Episode, Trajectories
+from idapt_pl.diagnosis import law_search
+from idapt_pl.diagnosis.data import sample_windows
+from idapt_pl.diagnosis.law_forecasts import regress
+from idapt_pl.diagnosis.law_history import remembered
+from idapt_pl.diagnosis.law_network import HIDDEN, network
+from idapt_pl.diagnosis.law_result import formula_in_numbers
+from idapt_pl.diagnosis.law_search import laws_of, search_laws
+from idapt_pl.diagnosis.law_terms import JointSizes, Term, dictionary, term_units, write_law
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.effects.acting import ActingForces
+from idapt_pl.effects.expression import parse_expression
+from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
+
+PENDULUM = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody><body name="rod"><joint name="axis" axis="0 1 0" damping="0.05" armature="0.01"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.4" mass="0.5" contype="0" conaffinity="0"/></body></worldbody>
+  <actuator><motor name="axis" joint="axis" gear="2"/></actuator>
+</mujoco>"""
+SIZES = JointSizes("axis", True, np.linspace(-1, 1, 7), 2.0, 1.0, 2.0, 0.02, "u")
+
+
+def nothing(q, v, u, t):
+    return 0.0
+
+
+def ripple(q, v, u, t):
+    return 0.6 * u * np.sin(5 * q)
+
+
+def record(law, episodes=5, steps=90):
+    """Recordings of the pendulum with a force on its axis, of its own making."""
+    model, rng, made = mujoco.MjModel.from_xml_string(PENDULUM), np.random.default_rng(0), []
+    for _ in range(episodes):
+        data = mujoco.MjData(model)
+        data.qpos[0] = rng.normal() * 0.5
+        actions = np.repeat(rng.uniform(-1, 1, (steps // 3, 1)), 3, 0)
+        rows = [(data.qpos[0], data.qvel[0])]
+        for action in actions:
+            data.ctrl[:] = action
+            for _ in range(4):
+                data.qfrc_applied[0] = law(data.qpos[0], data.qvel[0], action[0], data.time)
+                mujoco.mj_step(model, data)
+            rows.append((data.qpos[0], data.qvel[0]))
+        seen = np.array(rows) + rng.normal(size=(steps + 1, 2)) * (5e-4, 1e-2)
+        made.append(Episode(actions.astype(np.float32), {"qpos": seen[:, :1], "qvel": seen[:, 1:]}))
+    return Trajectories(tuple(made), 0.02)
+
+
+@functools.cache
+def begun(law):
+    return begin_search(mujoco.MjSpec.from_string(PENDULUM), record(law), threads=1)
+
+
+def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size():
+    context, state = begun(ripple)
+    found = search_laws(context, state)
+    (law,) = laws_of(found.state)
+    assert law.candidate.target == "axis" and law.candidate.depends == {"q", "u"}
+    left = context.loss(found.state.windows.held_out, found.state.effects).mean()
+    before = context.loss(found.before.windows.held_out, found.before.effects).mean()
+    assert before > 5 and left < 1.5
+    force = law.candidate.effect(law.x)
+    q, u = np.linspace(-1, 1, 9), np.full(9, 0.7)
+    np.testing.assert_allclose(force.force_from({"q": q, "u": u}, np.zeros((9, 0))), ripple(q, 0, u, 0), atol=0.06)
+    assert found.places[0].kind == "force" and set(found.places[0].follows) == {"q", "u"}
+
+
+def test_nothing_is_learned_where_nothing_is_planted(monkeypatch):
+    context, state = begun(nothing)
+    assert search_laws(context, state) is None, "too little is left to look for"
+    monkeypatch.setattr(law_search, "LEFT_OVER", 0.0)
+    found = search_laws(context, state)
+    assert not laws_of(found.state) and found.network is None and not found.sensor, "nor if it has to look"
+
+
+def test_a_push_moves_forecasts_as_the_same_force_by_a_law_does():
+    context, _ = begun(nothing)
+    windows = sample_windows(context.sim.data, np.arange(3), context.steps, 5, 20, 0)
+    push = np.full((len(windows), context.steps, 1), 0.3)
+    by_push = context.sim.residual((), windows, push=push)
+    by_law = context.sim.residual((LearnedForce("axis", "a", a=0.3),), windows)
+    np.testing.assert_allclose(by_push, by_law, atol=1e-9)
+    assert np.abs(by_push - context.sim.residual((), windows)).max() > 0.01
+
+
+def test_what_a_law_remembers_when_a_window_begins_is_what_was_measured_before():
+    context, _ = begun(nothing)
+    law = LearnedForce("axis", "a*lowpass(u, 0.1)", a=1.0)
+    past = remembered(ActingForces(context.sim.model, [law]), context.sim.data)
+    r = context.sim.data[1]
+    expected = np.zeros(len(r) + 1)
+    for k in range(len(r)):
+        expected[k + 1] = expected[k] + (1 - np.exp(-0.02 / 0.1)) * (r.actions[k, 0] - expected[k])
+    np.testing.assert_allclose(past[1, : len(r) + 1, 0], expected, atol=1e-9)
+
+
+def test_terms_are_formulas_of_the_grammar_and_have_units():
+    terms = dictionary(SIZES)
+    assert len(terms) > 100
+    for term in terms:
+        assert all(parse_expression(text) for text in term.columns())
+        assert len(term_units(term, hinge=True)) == term.size
+    sum_of_two = [Term("A*sin(P*q) + B*cos(P*q)", "", (3.0,), ("/q",)), Term("A*v", "v")]
+    assert write_law(sum_of_two) == "a*sin(c*q) + b*cos(c*q) + d*v"
+    assert [u for t in sum_of_two for u in term_units(t, True)] == ["N·m", "N·m", "1/rad", "N·m·s/rad"]
+
+
+def test_a_formula_is_written_with_numbers():
+    text = formula_in_numbers("a*abs(load)*tanh(v/b) + c*q**2", {"a": -0.353, "b": 0.0189, "c": -2.0})
+    assert text == "-0.353·abs(load)·tanh(v/0.0189) - 2·q²"
+
+
+def test_regression_gives_the_amplitudes_and_what_they_remove():
+    rng = np.random.default_rng(0)
+    X, x = rng.normal(size=(200, 2)), np.array([2.0, -1.0])
+    found, gain = regress(X, -X @ x)
+    np.testing.assert_allclose(found, x, atol=1e-4)
+    assert gain == pytest.approx(np.square(X @ x).sum(), rel=1e-4)
+
+
+def test_the_networks_slopes_are_its_derivatives_and_it_is_the_effect_that_is_simulated():
+    rng = np.random.default_rng(1)
+    x, w = rng.uniform(-1, 1, (4, 3, 2)), rng.normal(size=HIDDEN * 4 + 1)
+    value, slope = network(x, w)
+    for i in (0, HIDDEN * 2, HIDDEN * 3, len(w) - 1):
+        moved = w + 1e-6 * (np.arange(len(w)) == i)
+        np.testing.assert_allclose((network(x, moved)[0] - value) / 1e-6, slope[..., i], atol=1e-5)
+    box = ResidualNetwork("axis", "q v", (1.0, 1.0), tuple(w), 2.0)
+    signals = {"q": x[..., 0].ravel(), "v": x[..., 1].ravel()}
+    np.testing.assert_allclose(box.force_from(signals, np.zeros((12, 0))), 2.0 * value.ravel(), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_diagnosis_reports_a_law_and_leaves_it_out_on_request():
+    spec, data = mujoco.MjSpec.from_string(PENDULUM), record(ripple)
+    diagnosis = diagnose(spec, data, threads=1)
+    laws = diagnosis.report["laws"]
+    assert diagnosis.verdict.value == "unexplained_residual" and laws["found"][0]["depends_on"] == ["q", "u"]
+    assert any(isinstance(e, LearnedForce) for e in diagnosis.effects)
+    assert "laws" not in diagnose(spec, data, threads=1, laws=False).report

@@ -1,0 +1,93 @@
+"""What is plausible on machines: the table names what there is, and candidates keep to it."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from idapt_pl.effects import EFFECTS
+from idapt_pl.effects.candidate import TypicalSizes
+from idapt_pl.effects.plausible import (
+    AIR,
+    LIQUID,
+    MEASURES,
+    PLAUSIBLE,
+    RARITY,
+    Machine,
+    plausible_range,
+    with_plausible_ends,
+)
+
+CART = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
+      <geom type="box" size="0.1 0.1 0.1" mass="3" contype="0" conaffinity="0"/>
+      <body name="pole"><joint name="hinge" axis="0 1 0"/>
+        <geom type="sphere" size="0.01" pos="0 0 -0.5" mass="1" contype="0" conaffinity="0"/></body></body>
+  </worldbody>
+  <actuator><motor name="push" joint="slide" gear="1"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture
+def machine():
+    """A cart of 4 kg in all, on which 10 N act at most, at 2 m/s."""
+    two = np.full(2, 2.0)
+    typical = TypicalSizes(0.02, np.ones(2), two, two, two, np.ones(1), np.ones(1), 0.2, effort=np.full(2, 10.0))
+    return Machine(mujoco.MjModel.from_xml_string(CART), typical)
+
+
+def candidates(machine, effect, size=None):
+    found = [with_plausible_ends(c, machine) for c in EFFECTS[effect].candidates(machine.model, machine.typical)]
+    return {c.target: c for c in found if size is None or c.size == size}
+
+
+def test_the_table_names_parameters_that_there_are():
+    for effect, parameter in PLAUSIBLE:
+        assert parameter in {f.name for f in dataclasses.fields(EFFECTS[effect])}, (effect, parameter)
+    assert set(RARITY) <= set(EFFECTS)
+    for entry in (*PLAUSIBLE.values(), *AIR.values(), *LIQUID.values()):
+        assert entry.low < entry.high and entry.unit in MEASURES
+        assert entry.reason and not entry.reason.endswith(".")
+
+
+@pytest.mark.parametrize("effect", sorted({effect for effect, _ in PLAUSIBLE}))
+def test_what_the_model_has_is_plausible_and_so_is_every_start(machine, effect):
+    for c in candidates(machine, effect).values():
+        low, high = c.bounds()
+        possible = c.possible()
+        assert (low <= c.nominal).all() and (high >= c.nominal).all()
+        assert (low >= possible[0]).all() and (high <= possible[1]).all()
+        assert all((np.array(s) >= low - 1e-9).all() and (np.array(s) <= high + 1e-9).all() for s in c.starts)
+
+
+@pytest.mark.parametrize(
+    ("effect", "target", "size", "believed", "not_believed"),
+    [
+        ("gravity_direction", "world", 2, (0.1, 0.1), (1.1, 0.0)),
+        ("joint_frictionloss", "slide", 1, (5.0,), (40.0,)),
+        ("joint_damping", "slide", 1, (3.0,), (60.0,)),
+        ("actuator_gain", "push", 1, (0.6,), (0.03,)),
+        ("body_mass", "pole", 1, (2.0,), (40.0,)),
+        ("body_com", "pole", 3, (0.1, 0.0, -0.3), (2.0, 0.0, 0.0)),
+        ("external_force", "cart", 3, (10.0, 0.0, 0.0), (100.0, 0.0, 0.0)),
+        ("actuator_delay", "push", 1, (0.02,), (1.0,)),
+    ],
+)
+def test_ranges_are_those_of_machines(machine, effect, target, size, believed, not_believed):
+    low, high = candidates(machine, effect, size)[target].bounds()
+    assert (low <= believed).all() and (high >= believed).all()
+    assert not ((low <= not_believed).all() and (high >= not_believed).all())
+
+
+def test_a_thick_medium_is_plausible_only_where_the_model_has_one():
+    assert plausible_range("fluid_drag", "viscosity", 0.0).high < 1e-3
+    thick = plausible_range("fluid_drag", "viscosity", 0.9)
+    assert thick.unit == "of the model's" and thick.low * 0.9 < 0.8 < thick.high * 0.9
+
+
+def test_effects_that_are_not_in_the_table_may_be_anything():
+    assert plausible_range("somebody_elses", "strength", 0.0) is None
