@@ -34,7 +34,7 @@ MOST_LAWS = 2
 PROPOSED, FITTED = 8, 3
 """Laws that regression proposes; of these, fitted on more windows and judged on held-out episodes."""
 
-LEAST_SHARE, LEAST_LAW_GAIN = 0.3, 0.1
+LEAST_SHARE, LEAST_OF_ALL = 0.3, 0.1
 """Shares of what is above the noise floor, and of the whole held-out loss, that a law must remove."""
 
 NETWORKS = 2
@@ -180,7 +180,7 @@ def one_law(
 def worth_it(context: SearchContext, gain: float, error: float, now: np.ndarray) -> bool:
     """Whether a held-out gain is as sure as that of any effect, and large; ``now``: losses without it, (n,)."""
     level = float(now.mean())
-    large = gain > max(LEAST_SHARE * max(level - 1.0, 0.0), LEAST_LAW_GAIN * level)
+    large = gain > max(LEAST_SHARE * max(level - 1.0, 0.0), LEAST_OF_ALL * level)
     return large and gain - context.settings.sureness * error > 0
 
 
