@@ -302,12 +302,6 @@ def test_a_policy_that_does_worse_in_the_grounded_source_after_its_training_is_p
     assert (told["trial_before"], told["trial_after"], told["kept"]) == (*returns, kept)
 
 
-def test_discovery_that_could_not_read_positions_is_refused_before_anything_is_learned(tiny_args, tmp_path, capsys):
-    other_state = tiny_args(tmp_path / "run", effects__discover="true", task="fetch_reach")
-    assert main(["fit", *other_state]) == 1 and "fetch_reach do not tell" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
 def test_without_finetuning_G_keeps_the_P_T_that_was_trained_with_it(finished_run, tiny_args, tmp_path):
     run = tmp_path / "kept"
     shutil.copytree(finished_run / "step_00", run / "step_00")

@@ -117,7 +117,7 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
     needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
     slight = effect is not state.accepted[0] and effect.candidate.change(effect.x) < NOTICEABLE_CHANGE
-    if not (needless or slight or worse_replays(context, state, rest)):
+    if not (needless or slight or (s.plausible and worse_replays(context, state, rest))):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
     return rest
@@ -130,7 +130,7 @@ def keep_sure(context: SearchContext, state: SearchState) -> SearchState:
     """
     context.progress("measuring", 0.92)
     state = measure_intervals(context, state)
-    while unsure := [a for a in state.accepted if a.unsure]:
+    while context.settings.plausible and (unsure := [a for a in state.accepted if a.unsure]):
         least = min(unsure, key=lambda a: a.candidate.change(a.x))
         log.info("left out %s: its interval holds what the model has", least.candidate.label)
         rest = refit_accepted(context, renew(context, state.without(least)))

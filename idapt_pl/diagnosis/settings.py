@@ -24,7 +24,9 @@ class SearchSettings:
         z: of the score, in standard deviations under the null, family-wise.
         seconds: aim for no more than this on two cores.
         numerics: try other time steps and integrators too.
-        plausible: name what is not plausible on a real machine last, if at all. Another simulation may be anything.
+        plausible: judge causes as those of a real machine, measured on itself: what no machine has is named last, if at
+            all, and what may as well be as the model has it, or makes longer replays worse, is left out. Another
+            simulation may be anything, and readings of images are no measurements to replay.
     """
 
     max_effects: int = 4

@@ -13,7 +13,9 @@ from cli.main import COMMANDS, main
 from cli.provenance import claim
 from datamodules import read_trajectories
 
-CONFIGS = sorted(p for p in (ROOT / "configs").rglob("*.yaml") if not {"presets", "visual", "diagnose"} & set(p.parts))
+CONFIGS = sorted(
+    p for p in (ROOT / "configs").rglob("*.yaml") if not {"presets", "visual", "diagnose", "sweeps"} & set(p.parts)
+)
 PRESETS = sorted((ROOT / "configs" / "presets").glob("*.yaml"))
 
 
@@ -41,7 +43,8 @@ def assert_short_error(code, printed, expected_code, *words):
 def overlays():
     hard = ROOT / "configs" / "pendulum_hard.yaml"
     base = hard if hard.exists() else QUICK
-    return [(c,) for c in CONFIGS] + [(base, preset) for preset in PRESETS]
+    runner = ROOT / "configs" / "cheetah_hard.yaml"  # who goes backwards has a direction
+    return [(c,) for c in CONFIGS] + [(runner if "backwards" in p.stem else base, p) for p in PRESETS]
 
 
 @pytest.mark.parametrize("configs", overlays(), ids=lambda c: "+".join(p.stem for p in c))

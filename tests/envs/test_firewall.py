@@ -151,6 +151,11 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/evaluation/evaluation.py", "rewarded_target"): EVALUATION,
     ("idapt_pl/evaluation/paired.py", "target_twin"): EVALUATION,
     ("idapt_pl/evaluation/paired.py", "unwrapped"): EVALUATION + "; states are put into its source, not read",
+    ("idapt_pl/baselines/correspondence.py", "rewarded_target"): EVALUATION,
+    (
+        "idapt_pl/rl/exploration.py",
+        "unwrapped",
+    ): "an expert for task-agnostic data, the paper's ablation, acts on states",
     ("idapt_pl/baselines/oracle.py", "rewarded_target"): "the oracle is trained in the target, as a reference",
     ("idapt_pl/report/gallery.py", ".domains()"): "pictures of all domains, for people",
     ("idapt_pl/report/domain_comparison.py", ".domains()"): "a table of what differs between domains, for people",
@@ -221,6 +226,7 @@ def test_the_code_that_trains_is_guarded():
         "idapt_pl/stages/collection.py",
         "idapt_pl/stages/by_hand.py",
         "idapt_pl/rl/collect.py",
+        "idapt_pl/rl/exploration.py",
     }
 
 
