@@ -66,6 +66,7 @@ class LocalRunner:
         self._stopping, self._left = threading.Event(), queue.Queue[str]()
         self.worker = replace(worker, stopped=self._stopping.is_set)
         self.slots, self._threads = slots, list[threading.Thread]()
+        self._ended: list[threading.Event] = []
         self._errors: list[BaseException] = []
 
     def run(self, names: Sequence[str], tick: Callable[[], None]) -> None:
@@ -78,7 +79,8 @@ class LocalRunner:
         for name in names:
             self._left.put(name)
         for devices in self.slots[: len(names)]:
-            thread = threading.Thread(target=self._work, args=(devices,), daemon=True)
+            self._ended.append(ended := threading.Event())
+            thread = threading.Thread(target=self._work, args=(devices, ended), daemon=True)
             self._threads.append(thread)
             thread.start()
         for thread in self._threads:
@@ -91,10 +93,16 @@ class LocalRunner:
     def stop(self) -> None:
         """End what is running, and wait until it has ended."""
         self._stopping.set()
-        for thread in self._threads:
-            thread.join(GRACE + 5)
+        for ended in self._ended:  # an exception out of a thread's join makes Python take it for dead
+            ended.wait(GRACE + 5)
 
-    def _work(self, devices: str) -> None:
+    def _work(self, devices: str, ended: threading.Event) -> None:
+        try:
+            self._carry_out_what_is_left(devices)
+        finally:
+            ended.set()
+
+    def _carry_out_what_is_left(self, devices: str) -> None:
         while not self._stopping.is_set():
             try:
                 name = self._left.get_nowait()

@@ -248,7 +248,7 @@ def test_algorithm_1_starts_with_a_preset(task, name, tmp_path):
     small = TINY | {
         "schedule.lengths": "given", "schedule.grounding_steps": 1, "run_dir": tmp_path / "run",
         "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0, "feeding.trial_episodes": 0,
-        "feeding.buffer_size": 100,
+        "feeding.buffer_size": 100, "schedule.exploration": "random",
     }  # fmt: skip
     overrides = [f"--{k}={v}" for k, v in small.items()]
     assert main(["fit", "--config", str(quick), "--config", str(preset(name)), *overrides]) == 0
