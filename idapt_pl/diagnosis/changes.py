@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -254,17 +254,8 @@ def refit_alone(
         return guess
     rest = state if t.accepted is None else state.without(t.accepted)
     x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
-    one = only_parameter(t.candidate, t.k, x)
+    one = t.candidate.with_one_free(t.k, x)
     return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
-
-
-def only_parameter(c: Candidate, k: int, x: np.ndarray) -> Candidate:
-    """A candidate with one free parameter, the others as in x."""
-    held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(c.names, x, strict=True)) if i != k)
-    span = None if c.span is None else (c.span[k],)
-    names, nominal, scale = (c.names[k],), (c.nominal[k],), (c.scale[k],)
-    fixed = (*c.fixed, *held)
-    return replace(c, names=names, nominal=nominal, scale=scale, span=span, fixed=fixed, starts=(), strength=None)
 
 
 def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> list[tuple[float, float, float]]:

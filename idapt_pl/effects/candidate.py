@@ -84,6 +84,21 @@ class Candidate:
         values = np.clip(np.asarray(list(x), float), low, high)
         return self.kind(self.target, **dict(zip(self.names, map(float, values), strict=True)), **dict(self.fixed))
 
+    def with_one_free(self, k: int, x: Iterable[float]) -> Candidate:
+        """The same with its k-th parameter alone free, the others as in x."""
+        held = tuple((name, float(v)) for i, (name, v) in enumerate(zip(self.names, x, strict=True)) if i != k)
+        return dataclasses.replace(
+            self,
+            names=(self.names[k],),
+            nominal=(self.nominal[k],),
+            scale=(self.scale[k],),
+            span=None if self.span is None else (self.span[k],),
+            plausible=None if self.plausible is None else (self.plausible[k],),
+            fixed=(*self.fixed, *held),
+            starts=(),
+            strength=None,
+        )
+
 
 @dataclass(frozen=True)
 class TypicalSizes:

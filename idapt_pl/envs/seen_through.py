@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from idapt_pl.envs.image_env import Observations, ResetResult, StepResult
-from idapt_pl.envs.wrapper import ImageEnv, ImageEnvWrapper
+from idapt_pl.envs.image_env import Observations
+from idapt_pl.envs.wrapper import ImageEnv, ShownOtherwise
 
 
-class SeenThrough(ImageEnvWrapper):
+class SeenThrough(ShownOtherwise):
     """Shows what is made of the images in place of ``pixels``; the images themselves are ``source_pixels``.
 
     Args:
@@ -23,15 +22,5 @@ class SeenThrough(ImageEnvWrapper):
         super().__init__(env)
         self.see = see
 
-    def reset(self, **kwargs: Any) -> ResetResult:
-        obs, infos = self.env.reset(**kwargs)
-        return self._show(obs), infos
-
-    def step(self, actions: np.ndarray) -> StepResult:
-        obs, rewards, terminations, truncations, infos = self.env.step(actions)
-        if "final_obs" in infos:
-            infos = {**infos, "final_obs": self._show(infos["final_obs"])}
-        return self._show(obs), rewards, terminations, truncations, infos
-
-    def _show(self, obs: Observations) -> Observations:
+    def show(self, obs: Observations) -> Observations:
         return {**obs, "pixels": self.see(obs["pixels"]), "source_pixels": obs["pixels"]}

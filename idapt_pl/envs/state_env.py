@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import gymnasium
 import mujoco
@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from idapt_pl.effects import Domain
-from idapt_pl.envs.image_env import Observations, ResetResult, StepResult, VectorImageEnv
-from idapt_pl.envs.wrapper import ImageEnvWrapper
+from idapt_pl.envs.image_env import Observations, VectorImageEnv
+from idapt_pl.envs.wrapper import ShownOtherwise
 from idapt_pl.rendering.parallel import BatchRenderer
 from idapt_pl.tasks import Task
 
@@ -60,22 +60,11 @@ class VectorStateEnv(VectorImageEnv):
         return {"pixels": states, "state": states}
 
 
-class StatesOnly(ImageEnvWrapper):
+class StatesOnly(ShownOtherwise):
     """An environment that goes on rendering for itself but shows its states in place of ``pixels``.
 
     What trains on states so trains in the grounded source, whose F needs the images.
     """
 
-    def reset(self, **kwargs: Any) -> ResetResult:
-        obs, infos = self.env.reset(**kwargs)
-        return self._show(obs), infos
-
-    def step(self, actions: np.ndarray) -> StepResult:
-        obs, rewards, terminations, truncations, infos = self.env.step(actions)
-        if "final_obs" in infos:
-            infos = {**infos, "final_obs": self._show(infos["final_obs"])}
-        return self._show(obs), rewards, terminations, truncations, infos
-
-    @staticmethod
-    def _show(obs: Observations) -> Observations:
+    def show(self, obs: Observations) -> Observations:
         return {"pixels": obs["state"], "state": obs["state"]}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from abc import ABC, abstractmethod
+from typing import Any, TypeAlias
 
 import gymnasium
+import numpy as np
 
-from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.envs.image_env import Observations, ResetResult, StepResult, VectorImageEnv
 from idapt_pl.envs.robot_env import RobotEnv
 
 
@@ -23,6 +25,24 @@ class ImageEnvWrapper(gymnasium.vector.VectorWrapper):
     def dt(self) -> float:
         """Control period, s."""
         return self.env.dt
+
+
+class ShownOtherwise(ImageEnvWrapper, ABC):
+    """A wrapper that makes something else of every observation, the last ones of episodes included."""
+
+    @abstractmethod
+    def show(self, obs: Observations) -> Observations:
+        """What is shown in place of an observation."""
+
+    def reset(self, **kwargs: Any) -> ResetResult:
+        obs, infos = self.env.reset(**kwargs)
+        return self.show(obs), infos
+
+    def step(self, actions: np.ndarray) -> StepResult:
+        obs, rewards, terminations, truncations, infos = self.env.step(actions)
+        if "final_obs" in infos:
+            infos = {**infos, "final_obs": self.show(infos["final_obs"])}
+        return self.show(obs), rewards, terminations, truncations, infos
 
 
 ImageEnv: TypeAlias = VectorImageEnv | RobotEnv | ImageEnvWrapper

@@ -109,11 +109,12 @@ def effects_from_replays(
         states = np.concatenate([e.observations["state"] for e in known])
         shown, scale = known_components(known_starts(c.worlds), states)
         seen = read_all(target)
-        seen = replace(seen, episodes=seen.episodes[:REPLAYED])
+        spread = np.unique(np.linspace(0, len(seen.episodes) - 1, REPLAYED).astype(int))  # of the newest files too
+        seen = replace(seen, episodes=tuple(seen.episodes[i] for i in spread))
         task, domain = c.worlds.task, c.worlds.source_domain
         if not shown:
             log.warning("step %d  nothing of %s is known where episodes begin: no effects are sought", step, task.name)
-            return search_by_replays((), no_misfit, no_misfit, 0).to_dict()
+            return KnownStartSearch(([], []), False, False, 0.0, 0.0, (0.0, 0.0, 0.0), ()).to_dict()
         of_target, of_control = (
             Replays(task, domain, of_one_length(recordings_of(d, pi.estimator(G), c.worlds.frame_stack)), shown, scale)
             for d in (seen, known)
@@ -159,11 +160,6 @@ def search_by_replays(
             break
         now, how, misfit, gain = effects, refined, its_misfit, its_gain
     return KnownStartSearch((now, how), bool(now), False, mean_error(without), mean_error(misfit), gain, told)
-
-
-def no_misfit(effects: Sequence[Effect]) -> np.ndarray:
-    """Of no recording."""
-    return np.zeros(1)
 
 
 def signed_screening(

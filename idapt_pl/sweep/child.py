@@ -13,7 +13,8 @@ from typing import IO
 import idapt_pl
 
 PROGRAM = """
-import os, runpy, sys, threading
+import os, runpy, signal, sys, threading
+signal.signal(signal.SIGTERM, signal.SIG_DFL)  # whatever its starter does at one
 def leave_with_parent():
     os.read(0, 1)
     os._exit(1)

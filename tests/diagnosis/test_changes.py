@@ -1,0 +1,51 @@
+"""Effects that change while they are recorded: found with their values, and none where nothing changes."""
+
+import sys
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointStribeck
+
+sys.path.insert(0, str(ROOT / "tests" / "report"))
+from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
+
+
+def changes_of(*dampings):
+    """What is said of recordings of one swing, in their order, five episodes with each damping."""
+    each = [record(d, episodes=5) for d in dampings]
+    data = replace(each[0], episodes=tuple(e for part in each for e in part))
+    spec = mujoco.MjSpec.from_string(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    return diagnose(spec, data, candidates=["joint_damping"], threads=1).result.changes
+
+
+def test_a_damping_that_rises_between_episodes_is_found_with_its_values():
+    found = changes_of(0.05, 0.08).found
+    assert [(f.effect, f.target, f.parameter, f.kind) for f in found] == [
+        ("joint_damping", "shoulder", "damping", "step_over")
+    ]
+    assert (found[0].first, found[0].last) == pytest.approx((0.05, 0.08), rel=0.1) and found[0].p < 0.05
+    assert found[0].episode == 5
+
+
+def test_where_nothing_changes_nothing_is_found():
+    constant = changes_of(0.06, 0.06)
+    assert not constant.found and constant.tested > 0
+
+
+@pytest.mark.parametrize("k", [0, 1, 2])
+def test_with_one_free_all_that_is_told_of_parameters_is_of_that_one(k):
+    pairs = ((0.0, 5.0), (0.0, 6.0), (0.01, 2.0))
+    c = Candidate(
+        JointStribeck, "elbow", ("coulomb", "static", "speed"), (0.0, 0.0, 0.1), (0.1, 0.2, 0.3),
+        starts=((0.1, 0.1, 0.1),), span=pairs, strength=2, plausible=pairs,
+    )  # fmt: skip
+    x = np.array([1.0, 2.0, 0.5])
+    one = c.with_one_free(k, x)
+    assert one.size == 1 and [b.tolist() for b in one.bounds()] == [[pairs[k][0]], [pairs[k][1]]]
+    assert one.effect([x[k]]) == c.effect(x)
