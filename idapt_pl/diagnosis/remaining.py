@@ -33,21 +33,22 @@ def describe_measurement(context: SearchContext, state: SearchState) -> Measurem
 
 
 def remaining_explanations(
-    context: SearchContext, state: SearchState, inseparable: Sequence[Alternative]
+    context: SearchContext, state: SearchState, inseparable: Sequence[tuple[AcceptedEffect, Alternative]]
 ) -> list[Explanation]:
     """What was found, then every explanation in which one of its effects gives way to one that does as well.
 
     Args:
         context: of the search.
         state: where it ended.
-        inseparable: what is the same as an effect found by construction, with the same estimates.
+        inseparable: effects found, and what is the same by construction.
     """
     if not state.accepted:
         return []
     left = float(context.loss(state.windows.held_out, state.effects).mean())
     found = explanation(context, state.fixed, state.candidates, state.estimates, "", Standing.FOUND, left)
-    delays = [with_alternative(found, alternative) for alternative in inseparable]
-    return [found, *delays, *(e for a in state.accepted for e in explanations_with_rivals(context, state, a, left))]
+    last = {id(a): i for i, a in enumerate(reversed(state.accepted))}
+    same = [with_alternative(found, last[id(a)], a, other) for a, other in inseparable]
+    return [found, *same, *(e for a in state.accepted for e in explanations_with_rivals(context, state, a, left))]
 
 
 def explanations_with_rivals(
@@ -98,9 +99,20 @@ def free_parameters(c: Candidate) -> dict[str, tuple[float, float]]:
     return {name: (float(nominal), float(scale)) for name, nominal, scale in rows}
 
 
-def with_alternative(found: Explanation, other: Alternative) -> Explanation:
-    """The explanation found, with an effect that is the same by construction in the place of its twin."""
+def with_alternative(found: Explanation, from_last: int, a: AcceptedEffect, other: Alternative) -> Explanation:
+    """The explanation found, with what is the same by construction in place of an effect.
+
+    Args:
+        found: its last effects are those that were fitted, in their order.
+        from_last: how many of them follow the one in question.
+        a: the effect.
+        other: of one parameter too: the same number, or one over it.
+    """
     new = effect_from_dict({"effect": other.effect, "target": other.target, "parameters": other.parameters})
-    twin = next(e for e in found.effects if set(e.free) == set(other.parameters))
-    effects = tuple(ExplainingEffect(new, e.free) if e is twin else e for e in found.effects)
-    return Explanation(Standing.EQUIVALENT, f"{other.effect}({other.target})", effects, found.loss)
+    ((nominal, scale),) = free_parameters(a.candidate).values()
+    ((name, value),) = other.parameters.items()
+    if not np.isclose(value, a.x[0], rtol=1e-4):  # one over it, and so much as its scale is then
+        nominal, scale = 1 / nominal, scale * value**2
+    effects = list(found.effects)
+    effects[len(effects) - 1 - from_last] = ExplainingEffect(new, {name: (nominal, scale)})
+    return Explanation(Standing.EQUIVALENT, f"{other.effect}({other.target})", tuple(effects), found.loss)

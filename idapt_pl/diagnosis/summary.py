@@ -66,7 +66,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         signature=residual_signature(context, state, final) if verdict is Verdict.UNEXPLAINED_RESIDUAL else "",
         next_experiment=next_experiment(context, state, verdict),
         explanations=remaining_explanations(
-            context, state, [q for a in state.accepted for q in inseparable(context.sim.model, a)]
+            context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.model, a)]
         ),
         measurement=describe_measurement(context, state),
     )

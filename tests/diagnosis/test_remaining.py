@@ -1,0 +1,41 @@
+"""Explanations that are the same as what was found, by construction."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
+from idapt_pl.diagnosis.remaining import with_alternative
+from idapt_pl.diagnosis.result import Alternative
+from idapt_pl.effects.actuators import MotorResistance
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.signals import ActuatorDelay
+
+DAMPING = ExplainingEffect(JointDamping("hip", 0.3), {"damping": (0.1, 0.05)})
+
+
+def test_late_measurements_take_the_place_of_late_commands_with_the_same_number():
+    delay = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
+    found = Explanation(
+        Standing.FOUND, "", (ExplainingEffect(ActuatorDelay("*", 0.016), {"delay": (0.0, 0.02)}), DAMPING), 0.8
+    )
+    a = SimpleNamespace(candidate=delay, x=np.array([0.016]))
+    same = with_alternative(found, 1, a, Alternative("sensor_delay", "*", {"delay": 0.016}, ""))
+    assert [(e.effect.name, e.free) for e in same.effects] == [
+        ("sensor_delay", {"delay": (0.0, 0.02)}), ("joint_damping", DAMPING.free)
+    ]  # fmt: skip
+    assert same.standing is Standing.EQUIVALENT and same.loss == found.loss
+
+
+def test_a_gain_takes_the_place_of_a_resistance_with_one_over_its_number():
+    resistance = Candidate(MotorResistance, "knee", ("resistance",), (1.0,), (0.2,))
+    found = Explanation(
+        Standing.FOUND, "", (DAMPING, ExplainingEffect(MotorResistance("knee", 1.6), {"resistance": (1.0, 0.2)})), 0.8
+    )
+    a = SimpleNamespace(candidate=resistance, x=np.array([1.6]))
+    same = with_alternative(found, 0, a, Alternative("actuator_gain", "knee", {"gain": 0.625}, ""))
+    assert same.effects[0] is DAMPING and same.effects[1].effect.gain == 0.625
+    nominal, scale = same.effects[1].free["gain"]
+    assert (nominal, scale) == pytest.approx((1.0, 0.2 * 0.625**2))
