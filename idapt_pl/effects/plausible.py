@@ -129,7 +129,7 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("motor_constant", "factor"): MOTOR,
     ("motor_resistance", "factor"): MOTOR,
     ("actuator_kp", "factor"): Plausible(
-        0.1, 10.0, "of the model's", "a gain that is ten times off is in another unit: look it up"
+        0.01, 100.0, "of the model's", "published models of servos have gains thirty times off"
     ),
     ("actuator_kv", "kv"): Plausible(0.0, 3.0, "of what drives it, over its speed", FRICTION),
     ("actuator_bias", "bias"): Plausible(-0.5, 0.5, "of the largest command", "an offset that large is seen at rest"),
