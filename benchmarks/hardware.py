@@ -23,12 +23,15 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import h5py
 from tables import read_rows, write_rows
 
+from cli.provenance import git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.report.diagnosis_files import write_diagnosis
 
-FIELDS = ("rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds")
+FIELDS = (
+    "rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds", "commit",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ def run(folder: Path, name: str, report_to: Path | None) -> list[dict]:
             "rig": name, "channel": channel, "unit": v["unit"], "before": v["before"], "after": v["after"],
             "ratio": round(v["before"] / v["after"], 2), "verdict": out.report["verdict"], "found": " + ".join(found),
             "horizon_s": error["horizon_s"], "held_out": " ".join(rig.held_out), "seconds": round(seconds, 1),
+            "commit": git_commit(),
         }
         for channel, v in error["per_channel"].items()
     ]  # fmt: skip
