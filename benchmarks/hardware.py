@@ -30,7 +30,8 @@ from idapt_pl.diagnosis.model import read_model
 from idapt_pl.report.diagnosis_files import write_diagnosis
 
 FIELDS = (
-    "rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds", "commit",
+    "rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds",
+    "commit",
 )  # fmt: skip
 
 
