@@ -1,0 +1,168 @@
+"""Are several hidden effects all named, and no other? One row a model, number of effects and seed.
+
+    python benchmarks/several_effects.py --seeds 0 1               # 2 to 4 effects; finished rows are kept
+    python benchmarks/several_effects.py --models walker2d hopper --counts 3 --seeds 100
+    python benchmarks/several_effects.py --summary                 # the table of what is there
+
+Effects are drawn by the seed from the single ones of benchmarks/undeclared, none that could pass for another that was
+drawn. Writes results/several_effects.csv: ``exact`` says that each hidden effect is named and nothing else is,
+``missed`` and ``extra`` how many were not named or are not there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
+import mujoco
+import numpy as np
+from tables import read_rows, write_rows
+from tqdm import tqdm
+
+from benchmarks.diagnosis import estimate
+from benchmarks.undeclared.cases import CASES, FINE, SAME, Answer, Case
+from benchmarks.undeclared.generate import generate
+from benchmarks.undeclared.models import MODELS
+from cli.provenance import git_commit
+from datamodules import read_trajectories
+from idapt_pl.diagnosis.search import diagnose
+
+FIELDS = (
+    "model", "hidden", "seed", "truth", "found", "verdict", "exact", "missed", "extra", "before", "after",
+    "relative_error", "covered", "seconds", "commit",
+)  # fmt: skip
+
+DEVELOPED_ON = ("inverted_pendulum", "reacher", "servo_arm", "half_cheetah")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Several effects in one world: the case to record, and for each effect the answers that are right."""
+
+    case: Case
+    answers: tuple[tuple[Answer, ...], ...]
+
+
+def single_cases(model: str) -> list[Case]:
+    """The cases of a model that hide one effect of the library."""
+    return [c for c in CASES.values() if c.model == model and len(c.truth) == 1 and c.accept and c.amplitude == 1]
+
+
+def draw(model: str, count: int, seed: int) -> Drawn:
+    """Draw ``count`` effects of a model; none shares an accepted answer or the kind of effect with another."""
+    rng = np.random.default_rng([seed, count])
+    chosen: list[Case] = []
+    pool = single_cases(model)
+    for i in rng.permutation(len(pool)):
+        taken = set().union(*(a for c in chosen for a in c.accept))
+        kinds = {c.truth[0].effect for c in chosen}
+        if not taken & set().union(*pool[i].accept) and pool[i].truth[0].effect not in kinds:
+            chosen.append(pool[i])
+        if len(chosen) == count:
+            break
+    else:
+        raise SystemExit(f"{model}: no {count} of its {len(pool)} single effects go together; try fewer")
+    case = Case(
+        name=f"several_{model}_{count}",
+        model=model,
+        truth=tuple(c.truth[0] for c in chosen),
+        kind="double",
+        accept=tuple(frozenset().union(*answer) for answer in itertools.product(*(c.accept for c in chosen))),
+        parts=tuple(c.parts[0] for c in chosen),
+        numerics=(SAME, FINE)[int(rng.integers(2))],
+        noise=MODELS[model].noise,
+    )
+    return Drawn(case, tuple(c.accept for c in chosen))
+
+
+def matched(answers: tuple[tuple[Answer, ...], ...], effects: list[dict]) -> tuple[int, int]:
+    """How many hidden effects are not named, and how many effects are named that are not there."""
+    open_ones = [set().union(*a) for a in answers]
+    extra = 0
+    for e in effects:
+        names = {(e["effect"], e["target"]), *((q["effect"], q["target"]) for q in e["equivalent"])}
+        first = next((a for a in open_ones if (e["effect"], e["target"]) in a), None)
+        hit = first or next((a for a in open_ones if names & a), None)
+        if hit is None:
+            extra += 1
+        else:
+            open_ones.remove(hit)
+    return len(open_ones), extra
+
+
+def run(model: str, count: int, seed: int) -> dict:
+    """Record, diagnose, compare."""
+    drawn = draw(model, count, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        nominal, measured = generate(drawn.case, seed, Path(folder))
+        spec, data = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
+    started = time.perf_counter()
+    report = diagnose(spec, data, seed=seed).report
+    seconds = time.perf_counter() - started
+    physical = [e for e in report["effects"] if e["effect"] != "numerics"]
+    missed, extra = matched(drawn.answers, physical)
+    shown = [
+        f"{e['effect']}({e['target']}) " + " ".join(f"{k}={p['estimate']}" for k, p in e["parameters"].items())
+        for e in physical
+    ]
+    return {
+        "model": model, "hidden": count, "seed": seed,
+        "truth": " + ".join(f"{t.effect}({t.target}) {t.parameter}={t.value}" for t in drawn.case.truth),
+        "found": " + ".join(shown), "verdict": report["verdict"], "exact": int(not missed and not extra),
+        "missed": missed, "extra": extra, **{k: report["error"][k] for k in ("before", "after")},
+        **estimate(drawn.case, physical), "seconds": round(seconds, 1), "commit": git_commit(),
+    }  # fmt: skip
+
+
+def summarise(rows: list[dict]) -> str:
+    """A Markdown table: one row a number of hidden effects, models that were developed on apart from others."""
+    lines = [
+        "| models | hidden effects | cases | exact | named | named besides | intervals that cover | median s |",
+        "|" + "---|" * 8,
+    ]
+    for known in (True, False):
+        for count in sorted({int(r["hidden"]) for r in rows}):
+            of = [r for r in rows if int(r["hidden"]) == count and (r["model"] in DEVELOPED_ON) == known]
+            if not of:
+                continue
+            named = [count - int(r["missed"]) for r in of]
+            covered = [float(r["covered"]) for r in of if r["covered"] != ""]
+            lines.append(
+                f"| {'developed on' if known else 'others'} | {count} | {len(of)} | {sum(int(r['exact']) for r in of)} "
+                f"| {sum(named)} of {count * len(of)} | {sum(int(r['extra']) for r in of)} "
+                f"| {np.mean(covered):.2f} | {np.median([float(r['seconds']) for r in of]):.0f} |"
+            )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the cases that have no row yet and write the table."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--models", nargs="+", default=DEVELOPED_ON, choices=sorted(MODELS))
+    p.add_argument("--counts", nargs="+", type=int, default=[2, 3, 4], help="how many effects are hidden")
+    p.add_argument("--seeds", nargs="+", type=int, default=[0])
+    p.add_argument("--again", action="store_true", help="run finished rows again")
+    p.add_argument("--summary", action="store_true", help="print the table of what is there, and run nothing")
+    p.add_argument("--out", type=Path, default=ROOT / "results" / "several_effects.csv")
+    o = p.parse_args()
+    rows = {(r["model"], int(r["hidden"]), int(r["seed"])): r for r in read_rows(o.out)}
+    todo = [k for k in itertools.product(o.models, o.counts, o.seeds) if (o.again or k not in rows) and not o.summary]
+    for key in tqdm(todo, unit="case"):
+        rows[key] = run(*key)
+        write_rows(o.out, [rows[k] for k in sorted(rows)], FIELDS)
+        r = rows[key]
+        tqdm.write(f"{key} exact {r['exact']}: {r['truth']}\n    -> {r['verdict']}: {r['found']}")
+    print(summarise(list(rows.values())))
+
+
+if __name__ == "__main__":
+    main()
