@@ -78,7 +78,7 @@ def draw(model: str, count: int, seed: int) -> Drawn:
         kind="double",
         accept=tuple(frozenset().union(*answer) for answer in itertools.product(*(c.accept for c in chosen))),
         parts=tuple(c.parts[0] for c in chosen),
-        numerics=(SAME, FINE)[int(rng.integers(2))],
+        numerics=SAME if all(c.numerics == SAME for c in chosen) else FINE,
         noise=MODELS[model].noise,
     )
     return Drawn(case, tuple(c.accept for c in chosen))

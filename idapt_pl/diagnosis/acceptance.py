@@ -151,12 +151,20 @@ def why_implausible(c: Candidate, x: np.ndarray) -> str:
     reasons = []
     for k, (low, high) in enumerate(c.plausible):
         entry, (least, most) = plausible_range(c.kind.name, c.names[k], c.nominal[k]), (b[k] for b in c.possible())
-        near = 1e-3 * (high - low)
-        above, below = x[k] >= high - near and high < most, x[k] <= low + near and low > least
+        above, below = x[k] >= high - close_to(high, high - low), x[k] <= low + close_to(low, high - low)
+        above, below = above and high < most, below and low > least
         if entry is not None and (above or below) and high > low:
             end = f"{format_number(high if above else low)} {c.units()[k]}".removesuffix(" 1")
             reasons.append(f"{c.names[k]} {'above' if above else 'below'} {end} is not plausible: {entry.reason}")
     return "; ".join(reasons)
+
+
+def close_to(end: float, width: float) -> float:
+    """How far from the end of a range a fit counts as having run there: little of the range, and of the end itself.
+
+    Ranges of factors are wide on one side: a thousandth of 0.01 to 100 is ten times its lower end.
+    """
+    return min(1e-3 * width, 0.02 * abs(end) or np.inf)
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:

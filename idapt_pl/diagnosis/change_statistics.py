@@ -122,7 +122,8 @@ def merits(w: WindowScores, shapes: Sequence[TimeShape], clusters: np.ndarray, s
     by_cluster = np.zeros((signs.shape[1], len(shapes)))
     np.add.at(by_cluster, clusters, w.score[:, None] * F)
     gain = np.square(signs @ by_cluster) / (w.information @ np.square(F))
-    explained = np.clip(gain / (np.square(w.score) / w.information).sum(), 0.0, 1 - 1e-9)
+    most = max(float((np.square(w.score) / w.information).sum()), 1e-300)  # 0 of a parameter that does nothing
+    explained = np.clip(gain / most, 0.0, 1 - 1e-9)
     return -n * np.log1p(-explained) - np.log(n) * np.array([s.cost for s in shapes])
 
 

@@ -66,7 +66,7 @@ def measured_signals_of(context: SearchContext, windows: Windows, joints: list[i
     qpos, qvel, time = take("qpos"), take("qvel"), take("time")
     began = np.array([sim.data[e].time[0] for e in windows.episode])[:, None]
     commands = np.stack([sim.data[e].actions[k[:-1]] for e, k in zip(windows.episode, at, strict=True)])
-    flat = lambda x: x.reshape(-1, x.shape[-1])  # noqa: E731
+    flat = lambda x: x.reshape(len(x) * steps, x.shape[-1])  # noqa: E731
     middle = lambda x: flat(0.5 * (x[:, 1:] + x[:, :-1]))  # noqa: E731
     now = MotionNow(middle(qpos), middle(qvel), flat(commands), np.zeros((len(commands) * steps, m.na)),
                     middle(time[..., None])[:, 0] - np.repeat(began, steps, 1).ravel())  # fmt: skip

@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.last_resort import try_implausible
 from idapt_pl.diagnosis.laws import add_laws
+from idapt_pl.diagnosis.look_ahead import add_two
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.prepare import begin_search
@@ -129,35 +130,74 @@ def with_laws(found: Diagnosis) -> Diagnosis:
     return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
 
+REVISIONS = 3
+"""How often effects are added again, where reopened choices changed what was found."""
+
 Progression = tuple[SearchState, tuple[Trial, ...]]
 """Where a search stands, and everything that was tried."""
 
 
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
+    state, trials = select_and_revise(context, (retest_numerics(context, state), ()))
+    other, tried = try_implausible(context, state, next_round(trials))
+    trials = (*trials, *tried)
+    if other is not None:  # what was found in its shadow may be needless now, and more may show
+        state = eliminate_needless(context, retest_numerics(context, other))
+        state, trials = select_and_revise(context, (state, trials))
+    return keep_sure(context, state), trials
 
-    def add_effect(before: Progression, round: int) -> tuple[Progression, bool]:
+
+def select_and_revise(context: SearchContext, progress: Progression) -> Progression:
+    """Add effects until none helps, then reopen earlier choices; where one of these changed, add again.
+
+    What was hidden behind a wrong first choice shows once that is put right.
+    """
+    for _ in range(REVISIONS):
+        progress = add_effects(context, progress)
+        state, trials = progress
+        if not state.accepted:
+            break
+        revised = eliminate_needless(context, swap_for_rivals(context, state))
+        progress = revised, trials
+        if labels(revised) == labels(state):
+            break
+    return progress
+
+
+def labels(state: SearchState) -> list[str]:
+    """Of what was accepted."""
+    return sorted(c.label for c in state.candidates)
+
+
+def add_effects(context: SearchContext, progress: Progression) -> Progression:
+    """Greedy forward search, as long as there is something to add."""
+
+    def add_effect(before: Progression, taken: int) -> tuple[Progression, bool]:
         state, trials = before
-        found, new = one_round(context, state, round)
+        number = next_round(trials)
+        found, new = one_round(context, state, number)
+        if found is None:
+            found, more = add_two(context, state, new, lambda s, k: one_round(context, s, k), number + 1)
+            new = [*(as_accepted(t, found) for t in new), *more]
         trials = (*trials, *new)
         if found is None:
             return (state, trials), False
         state = refit_accepted(context, renew(context, found))
         return (retest_numerics(context, state), trials), True
 
-    state = retest_numerics(context, state)
-    nothing: Progression = (state, ())
-    state, trials = forward_selection(nothing, add_effect, context.settings.max_effects)
-    state = eliminate_needless(context, swap_for_rivals(context, state))
-    rounds = 1 + max((t.round for t in trials), default=0)
-    other, tried = try_implausible(context, state, rounds)
-    trials = (*trials, *tried)
-    if other is not None:  # what was found in its shadow may be needless now, and more may show
-        state = eliminate_needless(context, retest_numerics(context, other))
-        left = context.settings.max_effects - len(state.accepted)
-        state, trials = forward_selection((state, trials), lambda s, k: add_effect(s, rounds + 1 + k), left)
-        state = eliminate_needless(context, state)
-    return keep_sure(context, state), trials
+    return forward_selection(progress, add_effect, context.settings.max_effects - len(progress[0].accepted))
+
+
+def as_accepted(t: Trial, found: SearchState | None) -> Trial:
+    """A trial that was refused alone, and taken with another."""
+    taken = found is not None and any(a.round == t.round and a.candidate is t.candidate for a in found.accepted)
+    return replace(t, rejection=None) if taken else t
+
+
+def next_round(trials: Sequence[Trial]) -> int:
+    """The number of a round that comes after what was tried."""
+    return 1 + max((t.round for t in trials), default=-1)
 
 
 def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[SearchState | None, list[Trial]]:
@@ -167,7 +207,7 @@ def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[S
         The state with one effect more, not yet refitted (None where none is good enough), and what became of every
         candidate, in the screen's order.
     """
-    done = 0.1 + 0.8 * round / context.settings.max_effects
+    done = 0.1 + 0.75 * min(round / context.settings.max_effects, 1.0)
     context.progress(f"round {round + 1}: screening", done)
     ranked = screen_candidates(context, state, round)
     context.progress(f"round {round + 1}: confirming", done + 0.06)

@@ -29,7 +29,7 @@ class SearchSettings:
             simulation may be anything, and readings of images are no measurements to replay.
     """
 
-    max_effects: int = 4
+    max_effects: int = 8
     scout_windows: int = 40
     screened: int = 16
     screen_windows: int = 100

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from idapt_pl.diagnosis.change_statistics import WindowTimes, constancy_test, scores_of, time_shapes
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointStribeck
@@ -49,3 +50,15 @@ def test_with_one_free_all_that_is_told_of_parameters_is_of_that_one(k):
     one = c.with_one_free(k, x)
     assert one.size == 1 and [b.tolist() for b in one.bounds()] == [[pairs[k][0]], [pairs[k][1]]]
     assert one.effect([x[k]]) == c.effect(x)
+
+
+def test_a_parameter_that_does_nothing_is_constant():
+    rng, n = np.random.default_rng(0), 40
+    at = WindowTimes(np.repeat(np.arange(8), 5), np.tile(np.arange(5) * 0.1, 8), np.arange(n))
+    z, clusters = rng.normal(size=(n, 6)), np.repeat(np.arange(8), 5)
+    shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
+    _, (p, _) = constancy_test(
+        [scores_of(z, [], np.zeros_like(z), clusters), scores_of(z, [], rng.normal(size=z.shape), clusters)],
+        shapes, clusters, 0,
+    )  # fmt: skip
+    assert p > 0.5

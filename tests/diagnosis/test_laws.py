@@ -39,18 +39,22 @@ def ripple(q, v, u, t):
     return 0.6 * u * np.sin(5 * q)
 
 
-def record(law, episodes=5, steps=90):
+def detent(q, v, u, t):
+    return 0.4 * np.sin(6 * q)
+
+
+def record(law, episodes=5, steps=90, xml=PENDULUM):
     """Recordings of the pendulum with a force on its axis, of its own making."""
-    model, rng, made = mujoco.MjModel.from_xml_string(PENDULUM), np.random.default_rng(0), []
+    model, rng, made = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(0), []
     for _ in range(episodes):
         data = mujoco.MjData(model)
         data.qpos[0] = rng.normal() * 0.5
-        actions = np.repeat(rng.uniform(-1, 1, (steps // 3, 1)), 3, 0)
+        actions = np.repeat(rng.uniform(-1, 1, (steps // 3, model.nu)), 3, 0)
         rows = [(data.qpos[0], data.qvel[0])]
         for action in actions:
             data.ctrl[:] = action
             for _ in range(4):
-                data.qfrc_applied[0] = law(data.qpos[0], data.qvel[0], action[0], data.time)
+                data.qfrc_applied[0] = law(data.qpos[0], data.qvel[0], action.sum(), data.time)
                 mujoco.mj_step(model, data)
             rows.append((data.qpos[0], data.qvel[0]))
         seen = np.array(rows) + rng.normal(size=(steps + 1, 2)) * (5e-4, 1e-2)
@@ -75,6 +79,13 @@ def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size(
     q, u = np.linspace(-1, 1, 9), np.full(9, 0.7)
     np.testing.assert_allclose(force.force_from({"q": q, "u": u}, np.zeros((9, 0))), ripple(q, 0, u, 0), atol=0.06)
     assert found.places[0].kind == "force" and set(found.places[0].follows) == {"q", "u"}
+
+
+def test_a_machine_without_motors_has_laws_too():
+    passive = PENDULUM[: PENDULUM.index("<actuator>")] + "</mujoco>"
+    found = search_laws(*begin_search(mujoco.MjSpec.from_string(passive), record(detent, xml=passive), threads=1))
+    (law,) = laws_of(found.state)
+    assert law.candidate.target == "axis" and law.candidate.depends == {"q"}
 
 
 def test_nothing_is_learned_where_nothing_is_planted(monkeypatch):
