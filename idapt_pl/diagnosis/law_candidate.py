@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idapt_pl.diagnosis.law_terms import JointSizes, Term, term_units, write_law
+from idapt_pl.diagnosis.law_terms import KNOWN, JointSizes, Term, term_units, write_law
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.expression import COEFFICIENTS, parse_expression
 from idapt_pl.effects.learned import LearnedForce
@@ -31,6 +31,11 @@ class LawCandidate(Candidate):
     @property
     def label(self) -> str:
         return f"{self.kind.name}({self.target}: {self.formula})"
+
+    @property
+    def known(self) -> bool:
+        """Whether the library has such an effect, which was tried and refused before."""
+        return len(self.terms) == 1 and self.terms[0].text in KNOWN
 
     def units(self) -> list[str]:
         return [unit for term in self.terms for unit in term_units(term, self.hinge)]

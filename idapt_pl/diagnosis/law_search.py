@@ -119,12 +119,16 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
     places = residual_places(context, state, forecasts)
     if sensor := blamed_sensor(places):
         return LawSearch(state, state, {}, places, sensor.joint)
-    before, others = state, {}
+    before, others = state, dict[str, list[FittedLaw]]()
     for k in range(MOST_LAWS):
         context.progress(f"looking for a law {k + 1}", 0.92 + 0.01 * k)
         found = one_law(context, state, forecasts if k == 0 else joint_forecasts(context, state))
         if found is None:
             break
+        law = laws_of(found[0])[-1].candidate
+        if isinstance(law, LawCandidate) and law.known:
+            log.info("what is left looks like %s, which was refused as an effect", law.label)
+            return LawSearch(state, before, others, places)
         state, others[laws_of(found[0])[-1].candidate.label] = found
         state = retest_numerics(context, refit_accepted(context, renew(context, state)))
         if not explains_too_little(context, state):

@@ -91,6 +91,10 @@ class Term:
         return text
 
 
+KNOWN = frozenset({"A", "A*q", "A*v", "A*abs(v)*v", "A*tanh(v/P)", "A*u", "A*motor"})
+"""Terms that alone are effects of the library: an offset, a spring, damping, drag, dry friction, a gain."""
+
+
 def write_law(terms: Sequence[Term]) -> str:
     """The sum of some terms as one formula; coefficients by the alphabet, amplitudes of a term first."""
     letters = iter(COEFFICIENTS)

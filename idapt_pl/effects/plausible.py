@@ -131,7 +131,9 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_kp", "factor"): Plausible(
         0.01, 100.0, "of the model's", "published models of servos have gains thirty times off"
     ),
-    ("actuator_kv", "kv"): Plausible(0.0, 3.0, "of what drives it, over its speed", FRICTION),
+    ("actuator_kv", "kv"): Plausible(
+        0.0, 1.0, "of what drives it, over its speed", "a servo that brakes harder than it can push does not get there"
+    ),
     ("actuator_bias", "bias"): Plausible(-0.5, 0.5, "of the largest command", "an offset that large is seen at rest"),
     ("actuator_deadzone", "width"): Plausible(
         0.0, 0.5, "of the largest command", "a motor that ignores half of its commands is broken"

@@ -39,6 +39,10 @@ def ripple(q, v, u, t):
     return 0.6 * u * np.sin(5 * q)
 
 
+def viscous(q, v, u, t):
+    return -0.1 * v
+
+
 def detent(q, v, u, t):
     return 0.4 * np.sin(6 * q)
 
@@ -126,6 +130,13 @@ def test_terms_are_formulas_of_the_grammar_and_have_units():
     sum_of_two = [Term("A*sin(P*q) + B*cos(P*q)", "", (3.0,), ("/q",)), Term("A*v", "v")]
     assert write_law(sum_of_two) == "a*sin(c*q) + b*cos(c*q) + d*v"
     assert [u for t in sum_of_two for u in term_units(t, True)] == ["N·m", "N·m", "1/rad", "N·m·s/rad"]
+
+
+def test_no_law_is_what_an_effect_of_the_library_says():
+    context, state = begun(viscous)
+    found = search_laws(context, state)  # without a search for effects before
+    assert context.loss(state.windows.held_out, state.effects).mean() > law_search.LEFT_OVER
+    assert not laws_of(found.state) and found.network is None and found.places[0].follows == ("v",)
 
 
 def test_a_formula_is_written_with_numbers():
