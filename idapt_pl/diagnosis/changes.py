@@ -20,7 +20,7 @@ from idapt_pl.diagnosis.change_statistics import (
 )
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_search import LEFT_OVER
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.runtime import SensingEffect
@@ -36,6 +36,10 @@ LEAST_CHANGE = 0.1
 
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
+
+RIVALS, PIECES, CLEARLY_BETTER = 4, 4, 0.03
+"""Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
+their own, and the share of the loss by which one must be better."""
 
 SHOWN_STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
@@ -108,45 +112,103 @@ class ParameterInTime:
     accepted: AcceptedEffect | None
 
 
-def find_changes(context: SearchContext, state: SearchState) -> ChangeReport | None:
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What was found, of which parameter, and how it follows time."""
+
+    finding: ChangeFinding
+    parameter: ParameterInTime
+    shape: TimeShape
+
+
+def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeReport | None, SearchState]:
     """Which parameters change: of the accepted effects, and where much is left, of other candidates.
 
-    None where there is nothing to test, or too little to tell.
+    Returns:
+        The report, None where there is nothing to test, or too little to tell; and the state, without an effect that
+        was accepted as a constant stand-in for another one that changes.
     """
     at = windows_in_order(context, state)
     clusters = time_clusters(at)
     if len(np.unique(clusters)) < FEWEST_STRETCHES:
-        return None
+        return None, state
     context.progress("does it change?", 0.9)
     z = all_windows(context, state, state.effects, at.order)
     accepted = accepted_parameters(context, state, at.order, z)
     shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
     found = changing_ones(context, state, at, z, accepted, accepted, shapes, clusters)
     tested = len(accepted)
-    if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.removed_share for f in found[:1]) < MOST_OF_REST:
+    if found and np.mean(robust_loss(z)) > LEFT_OVER:
+        more, rival, rest = rival_change(context, state, at, found[0], shapes, clusters)
+        tested += more
+        if rival is not None:
+            return ChangeReport(tested, [rival.finding]), rest
+    if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.finding.removed_share for f in found[:1]) < MOST_OF_REST:
         others = other_candidates(context, state, at.order, z)
         tested += len(others)
         found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
-        found = [f for f in found if f.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
-    return ChangeReport(tested, found) if tested else None
+        found = [f for f in found if f.finding.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
+    return (ChangeReport(tested, [f.finding for f in found]) if tested else None), state
+
+
+def rival_change(
+    context: SearchContext, state: SearchState, at: WindowTimes, own: Change, shapes: Sequence[TimeShape],
+    clusters: np.ndarray,
+) -> tuple[int, Change | None, SearchState]:  # fmt: skip
+    """Another parameter whose change explains clearly more in the place of an accepted effect that changes.
+
+    Returns:
+        How many were tested, the best of them (None where the accepted effect is best), and the state without that one.
+    """
+    assert own.parameter.accepted is not None, "one of the accepted effects"
+    rest = refit_accepted(context, state.without(own.parameter.accepted))
+    z = all_windows(context, rest, rest.effects, at.order)
+    others = other_candidates(context, rest, at.order, z)
+    beside = accepted_parameters(context, rest, at.order, z)
+    rivals = changing_ones(context, rest, at, z, others, beside, shapes, clusters)[:RIVALS]
+    losses = [loss_in_pieces(context, rest, at, r) for r in rivals]
+    best = int(np.argmin(losses)) if rivals else -1
+    if best < 0 or rivals[best].parameter.candidate.label == own.parameter.candidate.label:
+        return len(others), None, state
+    if losses[best] > (1 - CLEARLY_BETTER) * loss_in_pieces(context, state, at, own):
+        return len(others), None, state
+    return len(others), rivals[best], rest
+
+
+def loss_in_pieces(context: SearchContext, state: SearchState, at: WindowTimes, change: Change) -> float:
+    """Loss of the fitted windows by simulation, with a value of the parameter for each stretch of time."""
+    f, split, t = change.shape.f, state.windows.fit, change.parameter
+    edges = [0.5] if "step" in change.shape.kind else np.quantile(f, np.linspace(0, 1, PIECES + 1)[1:-1])
+    piece = np.digitize(f, edges)
+    rest = state if t.accepted is None else state.without(t.accepted)
+    total = 0.0
+    for k in np.unique(piece):
+        chosen = np.sort(at.order[(piece == k) & (at.order < len(split.windows))])
+        if not len(chosen):
+            continue
+        value = refit_alone(context, state, t, at, piece == k, t.value)
+        x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
+        one = t.candidate.with_one_free(t.k, x).effect([value])
+        total += float(robust_loss(context.whitened(split[chosen], (*rest.effects, one))).sum())
+    return total
 
 
 def changing_ones(
     context: SearchContext, state: SearchState, at: WindowTimes, z: np.ndarray, tested: Sequence[ParameterInTime],
     accepted: Sequence[ParameterInTime], shapes: Sequence[TimeShape], clusters: np.ndarray,
-) -> list[ChangeFinding]:  # fmt: skip
+) -> list[Change]:  # fmt: skip
     """Those of some parameters that surely change, what explains most first; accepted ones are fitted beside each."""
     if not tested:
         return []
     scores = [scores_of(z, [t.slopes for t in accepted if t is not own], own.slopes, clusters) for own in tested]
     best, p = constancy_test(scores, shapes, clusters, context.seed)
     found = [
-        finding
+        Change(finding, t, shape)
         for t, w, shape, chance in zip(tested, scores, best, p, strict=True)
         if chance <= LEVEL and (finding := describe(context, state, at, w, shape, t, chance, z))
     ]
-    found.sort(key=lambda f: -f.removed_share)
-    return [f for f in found if f.removed_share > 0.25 * found[0].removed_share]
+    found.sort(key=lambda f: -f.finding.removed_share)
+    return [f for f in found if f.finding.removed_share > 0.25 * found[0].finding.removed_share]
 
 
 def changes_over_recordings(changes: ChangeReport | None) -> bool:

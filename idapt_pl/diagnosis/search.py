@@ -110,8 +110,8 @@ def diagnose(
     )
     state, trials = run_search(context, state)
     progress("judging", 0.95)
-    result = summarise_search(context, state, trials)
-    result = replace(result, changes=find_changes(context, state))
+    changes, state = find_changes(context, state)
+    result = replace(summarise_search(context, state, trials), changes=changes)
     held_out = state.windows.held_out.windows
     found = Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
     if laws:

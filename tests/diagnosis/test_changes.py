@@ -9,7 +9,10 @@ import pytest
 from conftest import ROOT
 
 from idapt_pl.diagnosis.change_statistics import WindowTimes, constancy_test, scores_of, time_shapes
+from idapt_pl.diagnosis.changes import find_changes
+from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.search_state import AcceptedEffect, refit_accepted
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointStribeck
 
@@ -17,11 +20,16 @@ sys.path.insert(0, str(ROOT / "tests" / "report"))
 from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
 
 
-def changes_of(*dampings):
-    """What is said of recordings of one swing, in their order, five episodes with each damping."""
+def recordings(*dampings):
+    """The nominal model, and recordings of one swing in their order, five episodes with each damping."""
     each = [record(d, episodes=5) for d in dampings]
     data = replace(each[0], episodes=tuple(e for part in each for e in part))
-    spec = mujoco.MjSpec.from_string(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    return mujoco.MjSpec.from_string(SWING.format(damping=NOMINAL, actuator=MOTOR)), data
+
+
+def changes_of(*dampings):
+    """What is said of them."""
+    spec, data = recordings(*dampings)
     return diagnose(spec, data, candidates=["joint_damping"], threads=1).result.changes
 
 
@@ -62,3 +70,13 @@ def test_a_parameter_that_does_nothing_is_constant():
         shapes, clusters, 0,
     )  # fmt: skip
     assert p > 0.5
+
+
+def test_a_constant_that_stood_in_for_what_changes_goes_again():
+    names = ["joint_damping", "joint_drag"]
+    context, state = begin_search(*recordings(0.05, 0.3), candidates=names, threads=1)
+    (drag,) = [c for c in context.candidates if c.label == "joint_drag(shoulder)"]
+    wrong = replace(state, accepted=(AcceptedEffect(0, drag, np.array(drag.nominal)),))
+    report, left = find_changes(context, refit_accepted(context, wrong))
+    assert [(f.effect, f.kind) for f in report.found] == [("joint_damping", "step_over")]
+    assert not left.accepted and report.tested == 3
