@@ -13,7 +13,6 @@ from idapt_pl.diagnosis.acceptance import (
     NOTICEABLE_CHANGE,
     PARSIMONY,
     beyond_its_kind,
-    handicap,
     rough_fit,
     why_implausible,
 )
@@ -26,19 +25,23 @@ from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.plausible import rarity
 from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.estimation.stepwise import backward_elimination
 
 log = logging.getLogger(__name__)
 SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
+MANY_PARAMETERS = 3
+"""An effect with so many bends to what others did: beside others it has to stand against all of them."""
 
 
 def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
     """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again.
 
     Where several effects are missing at once and much of the error stays, the first choice was made in their shadow,
-    and so were its rivals: then every effect has to stand against whatever the screen finds best in its place.
+    and so were its rivals: then every effect has to stand against whatever the screen finds best in its place. So has
+    one of many parameters beside others, and there a simpler one that is as good takes its place.
     """
     context.progress("trying rivals", 0.88)
     for _ in range(SWAP_PASSES):
@@ -46,7 +49,8 @@ def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
         places = len(state.accepted) if far or len(state.accepted) < 2 else len(state.accepted) - 1
         before = state
         for place in range(places):
-            rivals = rivals_for(context, state, place) if far else state.accepted[place].rivals
+            bends = len(state.accepted) > 1 and state.accepted[place].candidate.size >= MANY_PARAMETERS
+            rivals = rivals_for(context, state, place) if far or bends else state.accepted[place].rivals
             state = swap_one(context, state, place, rivals)
         if not far or state is before:
             break
@@ -80,11 +84,14 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
         x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 4).x
         after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
-        dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
         if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
             continue
-        if after.mean() + handicap(t) + dearer < best_loss and gain > max(error, 0.03 * float(now.mean())):
-            best, best_loss, best_x = t.candidate, float(after.mean()), x
+        dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
+        loss = float(after.mean()) + rarity(t.candidate) * max(gain, 0.0) + dearer
+        simpler = old.candidate.size - t.candidate.size >= 2  # and then as good is good enough
+        asked = -0.02 * float(now.mean()) if simpler else max(error, 0.03 * float(now.mean()))
+        if gain > asked and loss < (best_loss if best is not None or not simpler else np.inf):
+            best, best_loss, best_x = t.candidate, loss, x
     if best is None:
         return state
     log.info("%s in place of %s: %.3g", best.label, old.candidate.label, best_loss)
