@@ -37,6 +37,9 @@ LEAST_CHANGE = 0.1
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
+MOST_WINDOWS = 240
+"""Windows that are looked at."""
+
 RIVALS, PIECES, CLEARLY_BETTER = 4, 4, 0.03
 """Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
 their own, and the share of the loss by which one must be better."""
@@ -218,19 +221,23 @@ def changes_over_recordings(changes: ChangeReport | None) -> bool:
 
 
 def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
-    """All windows, fitted and held out."""
+    """All windows, fitted and held out; of many every so many."""
     both = [state.windows.fit.windows, state.windows.held_out.windows]
     episode, start = (np.concatenate([getattr(w, name) for w in both]) for name in ("episode", "start"))
     order = np.lexsort((start, episode))
     data = context.sim.data
     time = np.array([data[e].time[s] - data[e].time[0] for e, s in zip(episode, start, strict=True)])
+    order = order[:: int(np.ceil(len(order) / MOST_WINDOWS))]
     return WindowTimes(episode[order], time[order], order)
 
 
 def all_windows(context: SearchContext, state: SearchState, effects: Effects, order: np.ndarray) -> np.ndarray:
     """Whitened residuals of fitted and held-out windows in order, (n, rows)."""
-    splits = (state.windows.fit, state.windows.held_out)
-    return np.concatenate([context.whitened(split, effects) for split in splits])[order]
+    fit, held_out = state.windows.fit, state.windows.held_out
+    first = np.repeat([0, len(fit.windows)], [len(fit.windows), len(held_out.windows)])[order]
+    parts = [(split, np.flatnonzero(first == k)) for split, k in ((fit, 0), (held_out, len(fit.windows)))]
+    z = [context.whitened(split[order[rows] - first[rows]], effects) for split, rows in parts if len(rows)]
+    return np.concatenate(z)[np.argsort(np.concatenate([rows for _, rows in parts]), kind="stable")]
 
 
 def accepted_parameters(
