@@ -110,7 +110,7 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
             "as a further effect it removes no more than what the effects found before may get wrong by a few per cent"
         )
         return Rejection(because.SMALL_GAIN, text)
-    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE:
+    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE and t.gain < CLEAR_GAIN * (level - 1.0):
         change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
         return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
     if np.median(now) < 1.15 and t.gain < 0.15 * level:

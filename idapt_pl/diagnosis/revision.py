@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from idapt_pl.diagnosis.acceptance import (
+    CLEAR_GAIN,
     FAR_LOSS,
     NOTICEABLE_CHANGE,
     PARSIMONY,
@@ -123,7 +124,8 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
     needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
-    slight = effect is not state.accepted[0] and effect.candidate.change(effect.x) < NOTICEABLE_CHANGE
+    little = effect.candidate.change(effect.x) < NOTICEABLE_CHANGE and gain < CLEAR_GAIN * (float(without.mean()) - 1.0)
+    slight = little and effect is not state.accepted[0]
     if not (needless or slight or (s.plausible and worse_replays(context, state, rest))):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
