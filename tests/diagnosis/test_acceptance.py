@@ -80,9 +80,10 @@ def test_nothing_is_accepted_where_nothing_passed(state):
         ({"gain": 0.05, "gain_error": 0.001}, 4.0, RejectionReason.SMALL_GAIN),
         ({"gain": 0.19, "gain_error": 0.001}, 4.0, RejectionReason.SMALL_GAIN),
         ({"gain": 0.3, "gain_error": 0.001}, 1.04, RejectionReason.NOISE_FLOOR),
-        ({"x": (np.array([0.001]),)}, 4.0, RejectionReason.SMALL_CHANGE),
+        ({"x": (np.array([0.001]),), "gain": 0.4}, 4.0, RejectionReason.SMALL_CHANGE),
+        ({"x": (np.array([0.001]),)}, 4.0, None),
     ],
-    ids=["clear", "unsure", "two per cent", "five per cent", "floor", "tiny"],
+    ids=["clear", "unsure", "two per cent", "five per cent", "floor", "tiny", "tiny, and yet much of what is left"],
 )
 def test_each_objection_has_its_reason(change, level, reason):
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
