@@ -25,6 +25,7 @@ from idapt_pl.diagnosis.replay import worse_replays
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.plausible import rarity
 from idapt_pl.estimation.intervals import paired_gain
@@ -130,6 +131,27 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
     return rest
+
+
+def one_gain_for_many(context: SearchContext, state: SearchState) -> SearchState:
+    """The state with a gain of all motors, where that makes others needless and fewer parameters do as well.
+
+    A weaker motor looks like heavier bodies, more damping and more friction, all by one factor.
+    """
+    known = {a.candidate.label for a in state.accepted}
+    gains = [c for c in context.candidates if c.kind is ActuatorGain and c.label not in known]
+    gain = next((c for c in gains if c.target == "*" or context.sim.model.nu == 1), None)
+    if len(state.accepted) < 3 or gain is None:
+        return state
+    round = 1 + max(a.round for a in state.accepted)
+    wider = replace(state, accepted=(*state.accepted, AcceptedEffect(round, gain, np.array(gain.nominal, float))))
+    other = eliminate_needless(context, refit_accepted(context, wider))
+    fewer = sum(c.size for c in other.candidates) < sum(c.size for c in state.candidates)
+    before, after = (float(context.loss(s.windows.held_out, s.effects).mean()) for s in (state, other))
+    if not fewer or after > 1.02 * before:
+        return state
+    log.info("%s in place of several: %.3g, %.3g before", gain.label, after, before)
+    return retest_numerics(context, refit_accepted(context, renew(context, other)))
 
 
 def keep_sure(context: SearchContext, state: SearchState) -> SearchState:

@@ -20,7 +20,7 @@ from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
-from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_for_rivals
+from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, one_gain_for_many, swap_for_rivals
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
@@ -145,7 +145,7 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     if other is not None:  # what was found in its shadow may be needless now, and more may show
         state = eliminate_needless(context, retest_numerics(context, other))
         state, trials = select_and_revise(context, (state, trials))
-    return keep_sure(context, state), trials
+    return keep_sure(context, one_gain_for_many(context, state)), trials
 
 
 def select_and_revise(context: SearchContext, progress: Progression) -> Progression:

@@ -13,6 +13,7 @@ from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 
@@ -108,6 +109,27 @@ def test_what_makes_longer_replays_worse_is_left_out(monkeypatch):
     monkeypatch.setattr(revision, "worse_replays", b_makes_worse)
     kept = eliminate_needless(context(lambda found: 5.0 - 2 * len(found)), accepted(A, B))
     assert names(kept) == ["joint_damping(a)"]
+
+
+GAIN = Candidate(ActuatorGain, "*", ("gain",), (1.0,), (0.1,))
+SCALED = {("joint_damping", "a"), ("joint_damping", "b"), ("joint_damping", "c")}
+
+
+@pytest.mark.parametrize(
+    ("loss", "kept"),
+    [
+        (lambda found: 1.0 if ("actuator_gain", "*") in found or found >= SCALED else 9.0, ["actuator_gain(*)"]),
+        (lambda found: 1.0 if found >= SCALED else 9.0, ["joint_damping(a)", "joint_damping(b)", "joint_damping(c)"]),
+    ],
+    ids=["a gain does it", "it does not"],
+)
+def test_a_gain_takes_the_place_of_all_that_it_scales(loss, kept, monkeypatch):
+    monkeypatch.setattr(revision, "renew", lambda context, state: state)
+    search = context(loss)
+    search.candidates, search.sim = [A, B, C, GAIN], SimpleNamespace(model=SimpleNamespace(nu=2))
+    assert names(revision.one_gain_for_many(search, accepted(A, B, C))) == kept
+    two = accepted(A, B)
+    assert revision.one_gain_for_many(search, two) is two
 
 
 def test_what_may_be_as_the_model_has_it_is_left_out_and_the_rest_measured_again(monkeypatch):
