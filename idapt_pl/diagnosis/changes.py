@@ -37,10 +37,10 @@ LEAST_CHANGE = 0.1
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
-MOST_WINDOWS = 240
+WINDOWS_LOOKED_AT = 240
 """Windows that are looked at."""
 
-RIVALS, PIECES, CLEARLY_BETTER = 4, 4, 0.03
+RIVALS, PIECES, RIVAL_BETTER = 4, 4, 0.03
 """Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
 their own, and the share of the loss by which one must be better."""
 
@@ -173,7 +173,7 @@ def rival_change(
     best = int(np.argmin(losses)) if rivals else -1
     if best < 0 or rivals[best].parameter.candidate.label == own.parameter.candidate.label:
         return len(others), None, state
-    if losses[best] > (1 - CLEARLY_BETTER) * loss_in_pieces(context, state, at, own):
+    if losses[best] > (1 - RIVAL_BETTER) * loss_in_pieces(context, state, at, own):
         return len(others), None, state
     return len(others), rivals[best], rest
 
@@ -227,7 +227,7 @@ def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
     order = np.lexsort((start, episode))
     data = context.sim.data
     time = np.array([data[e].time[s] - data[e].time[0] for e, s in zip(episode, start, strict=True)])
-    order = order[:: int(np.ceil(len(order) / MOST_WINDOWS))]
+    order = order[:: int(np.ceil(len(order) / WINDOWS_LOOKED_AT))]
     return WindowTimes(episode[order], time[order], order)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idapt_pl.diagnosis.law_terms import KNOWN, JointSizes, Term, term_units, write_law
+from idapt_pl.diagnosis.law_terms import OF_THE_LIBRARY, JointSizes, Term, term_units, write_law
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.expression import COEFFICIENTS, parse_expression
 from idapt_pl.effects.learned import LearnedForce
@@ -35,7 +35,7 @@ class LawCandidate(Candidate):
     @property
     def known(self) -> bool:
         """Whether the library has such an effect, which was tried and refused before."""
-        return len(self.terms) == 1 and self.terms[0].text in KNOWN
+        return len(self.terms) == 1 and self.terms[0].text in OF_THE_LIBRARY
 
     def units(self) -> list[str]:
         return [unit for term in self.terms for unit in term_units(term, self.hinge)]

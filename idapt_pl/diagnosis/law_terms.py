@@ -91,7 +91,7 @@ class Term:
         return text
 
 
-KNOWN = frozenset({"A", "A*q", "A*v", "A*abs(v)*v", "A*tanh(v/P)", "A*u", "A*motor"})
+OF_THE_LIBRARY = frozenset({"A", "A*q", "A*v", "A*abs(v)*v", "A*tanh(v/P)", "A*u", "A*motor"})
 """Terms that alone are effects of the library: an offset, a spring, damping, drag, dry friction, a gain."""
 
 
