@@ -25,8 +25,10 @@ FAR_LOSS = 10.0
 NOTICEABLE_CHANGE = 0.03
 """Of the size that a candidate's scale calls noticeable: a further effect that is smaller is no finding, however sure.
 
-What a found effect's law or the integration gets wrong by a per cent looks like that.
+What a found effect's law or the integration gets wrong by a per cent looks like that, unless it is much.
 """
+LEFT_OVER = 1.6
+"""Mean held-out loss (1 is noise) from which much is left: a change or a law is looked for, and small effects count."""
 FURTHER_SHARE, SHARE_OF_A_PARAMETER = 0.05, 0.02
 """Share of the held-out error that a further effect must remove, and that each of its parameters must."""
 SLIPS = 1e-3
@@ -110,7 +112,7 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
             "as a further effect it removes no more than what the effects found before may get wrong by a few per cent"
         )
         return Rejection(because.SMALL_GAIN, text)
-    if t.round and t.candidate.change(t.x[-1]) < NOTICEABLE_CHANGE and t.gain < CLEAR_GAIN * (level - 1.0):
+    if t.round and too_small_a_change(t.candidate, t.x[-1], t.gain, level):
         change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
         return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
@@ -118,6 +120,19 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
     if text := why_implausible(t.candidate, t.x[-1]):
         return Rejection(because.IMPLAUSIBLE, text)
     return None
+
+
+def too_small_a_change(c: Candidate, x: np.ndarray, gain: float, level: float) -> bool:
+    """Whether a further effect is too small to be a finding, and not because much was left that it explains.
+
+    Args:
+        c: the effect.
+        x: its parameters, (p,).
+        gain: of the mean held-out loss with it.
+        level: that loss without it.
+    """
+    explains = level > LEFT_OVER and gain > CLEAR_GAIN * (level - 1.0)
+    return c.change(x) < NOTICEABLE_CHANGE and not explains
 
 
 def too_small_a_gain(context: SearchContext, t: Trial, level: float) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from idapt_pl.diagnosis.acceptance import LEFT_OVER
 from idapt_pl.diagnosis.change_statistics import (
     FEWEST_STRETCHES,
     TimeShape,
@@ -19,7 +20,6 @@ from idapt_pl.diagnosis.change_statistics import (
     time_shapes,
 )
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.law_search import LEFT_OVER
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.candidate import Candidate

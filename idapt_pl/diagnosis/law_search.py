@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from idapt_pl.diagnosis.acceptance import LEFT_OVER
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_candidate import LawCandidate
@@ -24,9 +25,6 @@ from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_a
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
-
-LEFT_OVER = 1.6
-"""Mean held-out loss (1 is noise) from which a law is looked for."""
 
 MOST_LAWS = 2
 """Laws that are looked for, one after the other."""

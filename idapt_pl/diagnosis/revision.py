@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from idapt_pl.diagnosis.acceptance import (
-    CLEAR_GAIN,
     FAR_LOSS,
-    NOTICEABLE_CHANGE,
     PARSIMONY,
     beyond_its_kind,
     rough_fit,
+    too_small_a_change,
     why_implausible,
 )
 from idapt_pl.diagnosis.candidate_fit import effects_of
@@ -125,8 +124,9 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
     needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
-    little = effect.candidate.change(effect.x) < NOTICEABLE_CHANGE and gain < CLEAR_GAIN * (float(without.mean()) - 1.0)
-    slight = little and effect is not state.accepted[0]
+    slight = effect is not state.accepted[0] and too_small_a_change(
+        effect.candidate, effect.x, gain, float(without.mean())
+    )
     if not (needless or slight or (s.plausible and worse_replays(context, state, rest))):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
