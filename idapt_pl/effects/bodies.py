@@ -13,11 +13,15 @@ from idapt_pl.effects.base import Effect, find_elements, parameter
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies, scaled_starts
 
 
+LIGHTEST = 1e-6
+"""A body of this mass, kg, or less is a marker and no part of a machine."""
+
+
 def heavy_bodies(model: mujoco.MjModel) -> list[tuple[str, float, float]]:
     """Moving bodies with a mass: name, mass in kg, and how far a noticeable shift of the centre is, in m."""
     found = []
     for b, name in moved_bodies(model):
-        if (mass := float(model.body_mass[b])) > 0:
+        if (mass := float(model.body_mass[b])) > LIGHTEST:
             found.append((name, mass, 0.3 * float(np.sqrt(model.body_inertia[b].max() / mass)) + 1e-3))
     return found
 
@@ -35,7 +39,7 @@ class BodyMass(Effect):
 
     name: ClassVar[str] = "body_mass"
     phrase: ClassVar[str] = "mass of body"
-    mass: float = parameter("kg", 1e-6, 1e6)
+    mass: float = parameter("kg", LIGHTEST, 1e6)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         find_elements(spec, "bodies", self.target)  # raises if there is none

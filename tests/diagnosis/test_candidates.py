@@ -149,3 +149,16 @@ def test_a_passive_joint_of_a_mechanism_is_a_machine_part():
     ones = np.ones(model.nv)
     typical = TypicalSizes(0.05, ones, ones, ones, 20 * ones, np.ones(model.nu), np.ones(model.nu), 0.5)
     assert {"slider", "hinge"} <= {c.target for c in EFFECTS["joint_damping"].candidates(model, typical)}
+
+
+def test_a_marker_without_weight_is_no_part_of_the_machine(typical):
+    marked = CART.replace(
+        '<geom type="sphere"',
+        '<body name="goal"><geom size="0.01" mass="1e-9" contype="0" conaffinity="0"/></body><geom type="sphere"',
+    )
+    model = mujoco.MjSpec.from_string(marked)
+    targets = {c.target for c in all_candidates(model, typical)}
+    assert "pole" in targets and "goal" not in targets
+    tried = [c for c in all_candidates(model, typical) if c.starts]
+    for c in tried:  # an effect at its nominal value is within its bounds
+        c.effect(c.nominal)
