@@ -153,16 +153,24 @@ def select_and_revise(context: SearchContext, progress: Progression) -> Progress
 
     What was hidden behind a wrong first choice shows once that is put right.
     """
-    for _ in range(REVISIONS):
+    for revision in range(REVISIONS):
+        before = level(context, progress[0])
         progress = add_effects(context, progress)
         state, trials = progress
         if not state.accepted:
             break
+        if revision and level(context, state) > 0.9 * before:  # little came: what is there has been reopened before
+            return eliminate_needless(context, state), trials
         revised = eliminate_needless(context, swap_for_rivals(context, state))
         progress = revised, trials
         if labels(revised) == labels(state):
             break
     return progress
+
+
+def level(context: SearchContext, state: SearchState) -> float:
+    """Mean held-out loss."""
+    return float(context.loss(state.windows.held_out, state.effects).mean())
 
 
 def labels(state: SearchState) -> list[str]:

@@ -12,7 +12,6 @@ from scipy.linalg import expm
 from idapt_pl.effects.base import Effect, find_elements, parameter
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies, scaled_starts
 
-
 LIGHTEST = 1e-6
 """A body of this mass, kg, or less is a marker and no part of a machine."""
 
