@@ -33,6 +33,8 @@ from idapt_pl.estimation.stepwise import backward_elimination
 log = logging.getLogger(__name__)
 SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
+PLACES_SCREENED = 4
+"""So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
 MANY_PARAMETERS = 3
 """An effect with so many bends to what others did: beside others it has to stand against all of them."""
 
@@ -51,7 +53,8 @@ def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
         before = state
         for place in range(places):
             bends = len(state.accepted) > 1 and state.accepted[place].candidate.size >= MANY_PARAMETERS
-            rivals = rivals_for(context, state, place) if far or bends else state.accepted[place].rivals
+            afresh = bends or (far and place < PLACES_SCREENED)
+            rivals = rivals_for(context, state, place) if afresh else state.accepted[place].rivals
             state = swap_one(context, state, place, rivals)
         if not far or state is before:
             break

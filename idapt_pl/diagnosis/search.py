@@ -20,7 +20,13 @@ from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
-from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, one_gain_for_many, swap_for_rivals
+from idapt_pl.diagnosis.revision import (
+    eliminate_needless,
+    far_from_explained,
+    keep_sure,
+    one_gain_for_many,
+    swap_for_rivals,
+)
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
@@ -159,8 +165,8 @@ def select_and_revise(context: SearchContext, progress: Progression) -> Progress
         state, trials = progress
         if not state.accepted:
             break
-        if revision and level(context, state) > 0.9 * before:  # little came: what is there has been reopened before
-            return eliminate_needless(context, state), trials
+        if revision and far_from_explained(context, state) and level(context, state) > 0.9 * before:
+            return eliminate_needless(context, state), trials  # little came, and reopening what is far takes long
         revised = eliminate_needless(context, swap_for_rivals(context, state))
         progress = revised, trials
         if labels(revised) == labels(state):
