@@ -61,6 +61,7 @@ def test_no_two_are_added_where_they_do_not_surely_help(loss, fitted, as_it_is):
     assert add_two(ctx, state, [unsure(A, fitted)], second(B), 1)[0] is None
 
 
+@pytest.mark.slow
 def test_effects_that_hide_each_other_are_all_named_and_no_other():
     true = ARM.replace('damping="0.05"', 'damping="0.09" armature="0.02"').replace(
         'damping="0.02"', 'damping="0.02" frictionloss="0.06"'
