@@ -37,10 +37,11 @@ def add_two(
         round: number of the second effect's round.
 
     Returns:
-        The state (None where no two surely help), not yet refitted, and what was tried for the second effect.
+        The state (None where no two surely help, or they are too many), not yet refitted, and what was tried for
+        the second effect.
     """
     now = context.loss(state.windows.held_out, state.effects)
-    if float(now.mean()) < FAR_LOSS:
+    if float(now.mean()) < FAR_LOSS or len(state.accepted) + 2 > context.settings.max_effects:
         return None, []
     for first in first_ones(context, state, refused):
         began = state.with_estimates(first.x[:-1])

@@ -63,7 +63,12 @@ def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
 
 def far_from_explained(context: SearchContext, state: SearchState) -> bool:
     """Whether so much of the held-out error is left that more than one effect must be missing or wrong."""
-    return float(context.loss(state.windows.held_out, state.effects).mean()) > FAR_LOSS
+    return level(context, state) > FAR_LOSS
+
+
+def level(context: SearchContext, state: SearchState) -> float:
+    """Mean held-out loss."""
+    return float(context.loss(state.windows.held_out, state.effects).mean())
 
 
 def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[Trial]:
@@ -150,7 +155,7 @@ def one_gain_for_many(context: SearchContext, state: SearchState) -> SearchState
     wider = replace(state, accepted=(*state.accepted, AcceptedEffect(round, gain, np.array(gain.nominal, float))))
     other = eliminate_needless(context, refit_accepted(context, wider))
     fewer = sum(c.size for c in other.candidates) < sum(c.size for c in state.candidates)
-    before, after = (float(context.loss(s.windows.held_out, s.effects).mean()) for s in (state, other))
+    before, after = level(context, state), level(context, other)
     if not fewer or after > 1.02 * before:
         return state
     log.info("%s in place of several: %.3g, %.3g before", gain.label, after, before)

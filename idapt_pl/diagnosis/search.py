@@ -24,6 +24,7 @@ from idapt_pl.diagnosis.revision import (
     eliminate_needless,
     far_from_explained,
     keep_sure,
+    level,
     one_gain_for_many,
     swap_for_rivals,
 )
@@ -172,11 +173,6 @@ def select_and_revise(context: SearchContext, progress: Progression) -> Progress
         if labels(revised) == labels(state):
             break
     return progress
-
-
-def level(context: SearchContext, state: SearchState) -> float:
-    """Mean held-out loss."""
-    return float(context.loss(state.windows.held_out, state.effects).mean())
 
 
 def labels(state: SearchState) -> list[str]:

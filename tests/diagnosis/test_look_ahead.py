@@ -48,6 +48,13 @@ def test_two_that_help_only_together_are_found(as_it_is):
     assert names(found) == ["joint_damping(a)", "joint_damping(b)"] and [a.round for a in found.accepted] == [0, 1]
 
 
+def test_two_are_not_added_where_only_one_may_be(as_it_is):
+    ctx, state = search(lambda effects: 2.0 if len(effects) == 2 else 50.0)
+    assert add_two(ctx, state, [unsure(A, 30.0)], second(B), 1)[0] is not None
+    ctx.settings = replace(ctx.settings, max_effects=1)
+    assert add_two(ctx, state, [unsure(A, 30.0)], second(B), 1)[0] is None
+
+
 @pytest.mark.parametrize(
     ("loss", "fitted"),
     [
