@@ -10,7 +10,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, slopes_of_accepted
 from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
 from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.candidate import Candidate
@@ -20,6 +20,8 @@ from idapt_pl.effects.wording import format_number
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
+STEPS = 5
+"""Of a fit with a candidate."""
 FAR_LOSS = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
 NOTICEABLE_CHANGE = 0.03
@@ -48,7 +50,9 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     Returns:
         Their trials, by what they leave on few windows, the least first; most of them rejected.
     """
-    rough = sorted((rough_fit(context, state, t) for t in chosen), key=lambda t: t.rough_loss)
+    slopes = slopes_of_accepted(context, state, state.windows.scout)
+    rough = sorted((rough_fit(context, state, t, slopes) for t in chosen), key=lambda t: t.rough_loss)
+    slopes = slopes_of_accepted(context, state, state.windows.screen)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     now = context.loss(state.windows.held_out, state.effects)
     first = (
@@ -58,7 +62,7 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     for t in rough:
         best = rough[0].rough_loss
         if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            confirmed.append(refine(context, state, t, now, first))
+            confirmed.append(refine(context, state, t, slopes, now, first))
             refined += 1
         else:
             text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
@@ -66,17 +70,22 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     return confirmed
 
 
-def rough_fit(context: SearchContext, state: SearchState, t: Trial) -> Trial:
-    """Refit a candidate, with all accepted effects free, on few windows."""
+def rough_fit(context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray) -> Trial:
+    """Refit a candidate, with all accepted effects free, on few windows; ``slopes`` by these, (n rows, p)."""
     candidates, x = [*state.candidates, t.candidate], [*state.estimates, t.x[-1]]
-    fit = context.fit(state.windows.scout, state.fixed, candidates, x, 3)
+    fit = context.fit(state.windows.scout, state.fixed, candidates, x, STEPS, slopes=slopes)
     return replace(t, x=fit.x, rough_loss=fit.solution.loss)
 
 
-def refine(context: SearchContext, state: SearchState, t: Trial, now: np.ndarray, first: float) -> Trial:
-    """Refit a candidate, with all accepted effects free, and judge it; arguments as of :func:`objection`."""
+def refine(
+    context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray, now: np.ndarray, first: float
+) -> Trial:
+    """Refit a candidate, with all accepted effects free, and judge it.
+
+    Arguments as of :func:`objection`; ``slopes`` by what was accepted, (n rows, p).
+    """
     candidates = [*state.candidates, t.candidate]
-    x = context.fit(state.windows.screen, state.fixed, candidates, t.x, 3).x
+    x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)

@@ -47,6 +47,8 @@ def fit_candidates(
     candidates: Sequence[Candidate],
     x: Sequence[np.ndarray],
     iterations: int,
+    exact: bool = False,
+    slopes: np.ndarray | None = None,
 ) -> CandidateFit:
     """Fit the parameters of candidates.
 
@@ -56,11 +58,13 @@ def fit_candidates(
         candidates: effects that are.
         x: where to start, one array for each candidate.
         iterations: of Gauss-Newton, at most.
+        exact: measure the slopes where the fit ends, for its covariance.
+        slopes: by the parameters of the first candidates, where they are known about: (n rows, q).
     """
 
     def at(v: np.ndarray) -> np.ndarray:
         return residual((*fixed, *effects_of(candidates, split_parameters(candidates, v))))
 
     start = np.concatenate([np.asarray(v, float) for v in x])
-    fit = gauss_newton(at, start, parameter_box(candidates), iterations)
+    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes)
     return CandidateFit(tuple(split_parameters(candidates, fit.x)), fit)

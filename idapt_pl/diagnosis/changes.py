@@ -21,6 +21,7 @@ from idapt_pl.diagnosis.change_statistics import (
 )
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted
+from idapt_pl.diagnosis.search_windows import affordable_windows
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.runtime import SensingEffect
@@ -38,7 +39,7 @@ MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
 WINDOWS_LOOKED_AT = 240
-"""Windows that are looked at."""
+"""Windows that are looked at, at most."""
 
 RIVALS, PIECES, RIVAL_BETTER = 4, 4, 0.03
 """Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
@@ -227,7 +228,8 @@ def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
     order = np.lexsort((start, episode))
     data = context.sim.data
     time = np.array([data[e].time[s] - data[e].time[0] for e, s in zip(episode, start, strict=True)])
-    order = order[:: int(np.ceil(len(order) / WINDOWS_LOOKED_AT))]
+    most = WINDOWS_LOOKED_AT * affordable_windows(context, state.fixed)
+    order = order[:: int(np.ceil(len(order) / most))]
     return WindowTimes(episode[order], time[order], order)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidate_fit import CandidateFit, fit_candidates
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.noise import Noise
+from idapt_pl.diagnosis.responses import Responses
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.whitening import WhitenedWindows
@@ -39,6 +40,7 @@ class SearchContext:
         seed: of the choice of windows.
         settings: how hard to look.
         progress: told what is being done.
+        responses: what candidates changed when they were last simulated on the scout windows.
     """
 
     sim: Simulator
@@ -53,6 +55,7 @@ class SearchContext:
     seed: int
     settings: SearchSettings
     progress: Progress
+    responses: Responses = field(default_factory=Responses)
 
     @property
     def horizon(self) -> float:
@@ -62,10 +65,6 @@ class SearchContext:
     def whitened(self, split: WhitenedWindows, effects: Effects) -> np.ndarray:
         """Whitened residuals under some effects, (n, rows)."""
         return split.residual(self.sim, effects)
-
-    def coarsely_whitened(self, split: WhitenedWindows, effects: Effects) -> np.ndarray:
-        """The same with numerics that are coarser and cheaper: good enough for a first look."""
-        return split.residual(self.sim, self.with_coarse_numerics(effects))
 
     def loss(self, split: WhitenedWindows, effects: Effects) -> np.ndarray:
         """Robust loss of every window, (n,)."""
@@ -78,23 +77,28 @@ class SearchContext:
         candidates: Sequence[Candidate],
         x: Sequence[np.ndarray],
         iterations: int,
+        exact: bool = False,
+        slopes: np.ndarray | None = None,
     ) -> CandidateFit:
         """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidate_fit.fit_candidates`."""
-        return fit_candidates(lambda e: self.whitened(split, e), fixed, candidates, x, iterations)
+        return fit_candidates(lambda e: self.whitened(split, e), fixed, candidates, x, iterations, exact, slopes)
 
     @property
     def numerics_declared(self) -> bool:
         """Whether time step and integrator are given, and not to be changed."""
         return any(e.name == Numerics.name for e in self.declared)
 
-    def with_coarse_numerics(self, effects: Effects) -> Effects:
-        """Effects with the model's own time step (a quarter of the control period at most) in place of a finer one."""
+    def with_coarse_numerics(self, effects: Effects, longest_step: float | None = None) -> Effects:
+        """Effects with a time step of a quarter of the control period in place of a finer one.
+
+        Good enough for a first look. It is no longer than ``longest_step`` (default: the model's own).
+        """
         if self.numerics_declared:
             return effects
         found, opt = next((e for e in effects if isinstance(e, Numerics)), None), self.sim.model.opt
         exact = found.timestep if found else float(opt.timestep)
         four = found.integrator == "RK4" if found else opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        step = min(float(opt.timestep), self.sim.control_period / 4)
+        step = min(longest_step or float(opt.timestep), self.sim.control_period / 4)
         if (4 if four else 1) / exact < 1.5 / step:
             return effects
         return (*(e for e in effects if e is not found), Numerics("world", step, "implicitfast"))

@@ -72,7 +72,7 @@ def joint_forecasts(context: SearchContext, state: SearchState) -> list[JointFor
     joints = mechanical_joints(sim.model)
     if not joints:
         return []
-    test = ScoreTest(context, state, split, context.whitened)
+    test = ScoreTest(context, state, split)
     torque = typical_sizes(sim.model, list(sim.data), context.horizon).torque
     dofs = np.array([v for _, v, _ in joints])
     response = force_response(context, state, split, dofs, PUSH * torque[dofs])

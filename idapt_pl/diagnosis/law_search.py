@@ -193,12 +193,12 @@ def fit_laws(
     rough = []
     for p in proposals:
         candidates = [*state.candidates, p.candidate]
-        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 2)
+        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 3)
         rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
     out = []
     for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
         candidates = [*state.candidates, p.candidate]
-        x = context.fit(state.windows.screen, state.fixed, candidates, x, 3).x
+        x = context.fit(state.windows.screen, state.fixed, candidates, x, 5).x
         losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
         log.info("tried %s: %.3g", p.candidate.label, losses.mean())

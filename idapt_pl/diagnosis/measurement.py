@@ -20,7 +20,7 @@ def measure_intervals(context: SearchContext, state: SearchState) -> SearchState
     if not state.accepted:
         return state
     windows = state.windows.fit
-    fit = context.fit(windows, state.fixed, state.candidates, state.estimates, 5)
+    fit = context.fit(windows, state.fixed, state.candidates, state.estimates, 8, exact=True)
     state = state.with_estimates(fit.x)
     episodes = windows.windows.episode
     V, clusters = covariance(fit.solution, episodes), len(np.unique(episodes))

@@ -14,8 +14,11 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.effects.world import Numerics
 from idapt_pl.estimation.intervals import paired_gain
+from idapt_pl.estimation.least_squares import robust_loss
 
 log = logging.getLogger(__name__)
+NO_CHANGE = 0.01
+"""Numerics that move predictions by less than this of what is left cannot take 2 % of it (squared) away."""
 NUMERICS_FLOOR = 1.05
 """Loss at which nothing is left for other numerics to gain."""
 
@@ -49,7 +52,8 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
     Of numerics that are about as good the finer ones are taken, which are tried later.
     """
     others = tuple(e for e in state.fixed if e.name != Numerics.name)
-    level = float(context.loss(state.windows.screen, state.effects).mean())
+    z = context.whitened(state.windows.screen, state.effects)
+    level = float(robust_loss(z).mean())
     if level < NUMERICS_FLOOR:
         return None
     best, best_loss = None, level
@@ -57,6 +61,9 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
         if effect in state.fixed:
             continue
         fixed = (*others, effect)
+        moved = context.whitened(state.windows.screen, (*fixed, *effects_of(state.candidates, state.estimates))) - z
+        if np.square(moved).sum() < NO_CHANGE**2 * np.square(z).sum():
+            continue
         x = refit_under(context, state, fixed)
         loss = float(context.loss(state.windows.screen, (*fixed, *effects_of(state.candidates, x))).mean())
         if loss < 0.98 * level and loss < 1.3 * best_loss:
@@ -68,4 +75,4 @@ def refit_under(context: SearchContext, state: SearchState, fixed: tuple) -> Seq
     """Estimates under other numerics: they shift with the integrator, so effects are compared after a refit."""
     if not state.accepted:
         return state.estimates
-    return context.fit(state.windows.screen, fixed, state.candidates, state.estimates, 3).x
+    return context.fit(state.windows.screen, fixed, state.candidates, state.estimates, 5).x

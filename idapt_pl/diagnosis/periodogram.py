@@ -25,11 +25,11 @@ PEAKS = 3
 """Numbers of periods that fits start from."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TorquePulse(ForceEffect):
     """A constant torque on a joint from one time to another, which differ from window to window.
 
-    No effect of a model: it measures how predictions answer torques.
+    No effect of a model: it measures how predictions answer torques. No two are equal.
 
     Attributes:
         torque: N·m.
@@ -39,8 +39,9 @@ class TorquePulse(ForceEffect):
 
     searched: ClassVar[bool] = False
     torque: float = 0.0
-    begin: np.ndarray = field(default_factory=lambda: np.zeros(0), hash=False, compare=False)
-    end: np.ndarray = field(default_factory=lambda: np.zeros(0), hash=False, compare=False)
+    begin: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    end: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    __eq__, __hash__ = object.__eq__, object.__hash__
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         now = (time > self.begin - 1e-9) & (time < self.end - 1e-9)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from idapt_pl.diagnosis.acceptance import (
+    CLEAR_GAIN,
     FAR_LOSS,
     PARSIMONY,
     beyond_its_kind,
@@ -22,7 +23,13 @@ from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.replay import worse_replays
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.search_state import (
+    AcceptedEffect,
+    SearchState,
+    refit_accepted,
+    renew,
+    slopes_of_accepted,
+)
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.candidate import Candidate
@@ -75,8 +82,11 @@ def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[T
     """The best candidates for the place of a found effect, given the others; roughly refitted."""
     own = state.accepted[place].candidate
     rest = refit_accepted(context, state.without(state.accepted[place]))
-    chosen = shortlist(screen_candidates(context, rest, len(state.accepted)), context.settings.confirm)
-    rough = sorted((rough_fit(context, rest, t) for t in chosen), key=lambda t: t.rough_loss)
+    chosen = shortlist(
+        screen_candidates(context, rest, len(state.accepted), as_seen_before=True), context.settings.confirm
+    )
+    slopes = slopes_of_accepted(context, rest, rest.windows.scout)
+    rough = sorted((rough_fit(context, rest, t, slopes) for t in chosen), key=lambda t: t.rough_loss)
     return [t for t in rough if (t.candidate.label, t.candidate.names) != (own.label, own.names)][:3]
 
 
@@ -88,9 +98,10 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     best: Candidate | None = None
     best_x: tuple[np.ndarray, ...] = ()
     best_loss = float(now.mean())
+    slopes = slopes_of_accepted(context, rest, state.windows.fit) if rivals else None
     for t in rivals:
         candidates = [*rest.candidates, t.candidate]
-        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 4).x
+        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 8, slopes=slopes).x
         after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
         if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
@@ -135,7 +146,8 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     slight = effect is not state.accepted[0] and too_small_a_change(
         effect.candidate, effect.x, gain, float(without.mean())
     )
-    if not (needless or slight or (s.plausible and worse_replays(context, state, rest))):
+    doubtful = s.plausible and gain < CLEAR_GAIN * float(without.mean())
+    if not (needless or slight or (doubtful and worse_replays(context, state, rest))):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
     return rest

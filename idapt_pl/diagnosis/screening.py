@@ -10,10 +10,11 @@ import numpy as np
 from idapt_pl.diagnosis.candidate_fit import parameter_box
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.periodogram import periodic_starts
+from idapt_pl.diagnosis.responses import Responses
 from idapt_pl.diagnosis.search_state import SearchState
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis.whitening import WhitenedWindows, whiten
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointCogging
@@ -23,23 +24,45 @@ from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, proje
 DERIVATIVE_STEP = 0.05
 """How slightly: share of a candidate's scale."""
 
+MUCH_THE_SAME = 0.02
+"""Share of what is left (squared) that a coarser time step may change in it."""
+
 LONGEST_LINEAR_STEP = 10.0
 """Scales that the screen believes a linear prediction for."""
 
 
-def screen_candidates(context: SearchContext, state: SearchState, round: int) -> list[Trial]:
-    """Score all candidates on few windows and the best again on more; best first."""
-    scout = ScoreTest(context, state, state.windows.scout, context.coarsely_whitened)
+def screen_candidates(
+    context: SearchContext, state: SearchState, round: int, as_seen_before: bool = False
+) -> list[Trial]:
+    """Score all candidates on few windows and the best again on more; best first.
+
+    Args:
+        context: of the search.
+        state: the current model.
+        round: of the search.
+        as_seen_before: for the first look take what candidates change under whatever model that was simulated.
+    """
+    step = first_look_step(context, state)
+    scout = ScoreTest(context, state, state.windows.scout, step, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
     considered = [c for c in context.candidates if (c.label, c.names) not in known]
     trials = [scout.score(c, starts_of(context, scout, state.windows.scout, c), round) for c in considered]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
-    screen = ScoreTest(context, state, state.windows.screen, context.whitened)
+    screen = ScoreTest(context, state, state.windows.screen)
     best = [screen.score(t.candidate, t.x, round) for t in best]
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
     rest = [replace(t, score=t.score * ratio) for t in rest]
     return sorted(best, key=penalised_score, reverse=True) + rest
+
+
+def first_look_step(context: SearchContext, state: SearchState) -> float:
+    """Time step [s] of a first look: a quarter of the control period, if the model predicts much the same with it."""
+    split, longest = state.windows.scout, context.sim.control_period / 4
+    now = context.whitened(split, state.effects)
+    coarse = context.whitened(split, context.with_coarse_numerics(state.effects, longest))
+    same = np.square(coarse - now).sum() < MUCH_THE_SAME * np.square(now).sum()
+    return longest if same else float(context.sim.model.opt.timestep)
 
 
 def starts_of(
@@ -48,7 +71,7 @@ def starts_of(
     """Places to start a fit from: those of the candidate, or what the residual says of a torque that repeats."""
     if c.kind is not JointCogging:
         return c.starts
-    return periodic_starts(context.sim, split.windows, c, test.left, test.change)
+    return periodic_starts(context.sim, split.windows, c, test.left, test.change_now)
 
 
 def penalised_score(t: Trial) -> float:
@@ -74,18 +97,20 @@ class ScoreTest:
         context: of the search.
         state: the current model.
         split: windows to score on.
-        predict: whitened residuals of windows under some effects, (n, rows).
+        step: time step of a first look, which takes what candidates change as it was last simulated, if it was.
+        any_model: and if that was under whatever model.
     """
 
     def __init__(
-        self,
-        context: SearchContext,
-        state: SearchState,
-        split: WhitenedWindows,
-        predict: Callable[[WhitenedWindows, Effects], np.ndarray],
-    ) -> None:
-        self.settings, self.state, self.predict = context.settings, state, lambda e: predict(split, e)
-        z, self.base = context.whitened(split, state.effects), self.predict(state.effects)
+        self, context: SearchContext, state: SearchState, split: WhitenedWindows, step: float | None = None,
+        any_model: bool = False,
+    ) -> None:  # fmt: skip
+        self.settings, self.state, self.split = context.settings, state, split
+        self.residual: Callable[[Effects], np.ndarray] = lambda e: context.sim.residual(
+            context.with_coarse_numerics(e, step) if step else e, split.windows
+        )
+        z, self.base = context.whitened(split, state.effects), self.residual(state.effects)
+        self.responses = (context.responses if step else Responses()).under(split, self.base, any_model)
         self.root = np.sqrt(huber_weights(z.ravel()))[:, None]
         accepted = [self.derivative(a.candidate, a.x, k) for k, a in enumerate(state.accepted)]
         D = np.concatenate(accepted, 1) * self.root if accepted else np.zeros((z.size, 0))
@@ -100,20 +125,31 @@ class ScoreTest:
 
     def change(self, effect: Effect) -> np.ndarray:
         """What an effect changes in the weighted residual on top of the current model, (rows,)."""
-        z = self.predict((*self.state.effects, effect))
-        return self.clear((z - self.base).reshape(-1, 1))[:, 0]
+        return self.clear(self.response(effect).reshape(-1, 1))[:, 0]
+
+    def change_now(self, effect: Effect) -> np.ndarray:
+        """The same, simulated under this very model."""
+        z = whiten(self.split.W, self.residual((*self.state.effects, effect)) - self.base)
+        return self.clear(z.reshape(-1, 1))[:, 0]
+
+    def response(self, effect: Effect) -> np.ndarray:
+        """What an effect changes in the whitened residual on top of the current model, (rows,)."""
+        effects = (*self.state.effects, effect)
+        return self.responses.get(effect, lambda: self.residual(effects) - self.base).ravel()
 
     def derivative(self, c: Candidate, x: np.ndarray, accepted: int | None = None) -> np.ndarray:
         """D z / d (x / scale) on top of the current model (of the accepted effect with that number), (rows, p)."""
         effects, (_, high), columns = self.state.effects, c.bounds(), []
-        if accepted is not None:
-            own = len(self.state.fixed) + accepted
-            effects = effects[:own] + effects[own + 1 :]
         for k in range(c.size):
             moved, sign = np.array(x, float), 1.0 if x[k] + DERIVATIVE_STEP * c.scale[k] <= high[k] else -1.0
             moved[k] += sign * DERIVATIVE_STEP * c.scale[k]
-            z = self.predict((*effects, c.effect(moved)))
-            columns.append((z - self.base).ravel() / (sign * DERIVATIVE_STEP))
+            if accepted is None:
+                change = self.response(c.effect(moved))
+            else:
+                own = len(self.state.fixed) + accepted
+                others = (*effects[:own], *effects[own + 1 :], c.effect(moved))
+                change = whiten(self.split.W, self.residual(others) - self.base).ravel()
+            columns.append(change / (sign * DERIVATIVE_STEP))
         return np.stack(columns, 1)
 
     def score(self, c: Candidate, starts: Sequence[np.ndarray | tuple[float, ...]], round: int) -> Trial:

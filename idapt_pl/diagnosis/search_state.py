@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.candidate_fit import effects_of
+from idapt_pl.diagnosis.candidate_fit import effects_of, parameter_box, split_parameters
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.search_windows import ModelStructure, SearchWindows, whiten_windows
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Trial
+from idapt_pl.diagnosis.whitening import WhitenedWindows
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.estimation.least_squares import jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,20 @@ def renew(context: SearchContext, state: SearchState) -> SearchState:
     return replace(state, windows=whiten_windows(context, structure, state.effects, now.noise, now.sensitivity))
 
 
-def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 4) -> SearchState:
+def slopes_of_accepted(context: SearchContext, state: SearchState, split: WhitenedWindows) -> np.ndarray:
+    """How residuals depend on the parameters of what was accepted, (n rows, p), for fits with one candidate more."""
+    base = context.whitened(split, state.effects)
+    if not state.accepted:
+        return np.zeros((base.size, 0))
+
+    def at(x: np.ndarray) -> np.ndarray:
+        parts = split_parameters(state.candidates, x)
+        return context.whitened(split, (*state.fixed, *effects_of(state.candidates, parts)))
+
+    return jacobian(at, np.concatenate(state.estimates), base, parameter_box(state.candidates))
+
+
+def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 8) -> SearchState:
     """Fit what was accepted, all together."""
     if not state.accepted:
         return state

@@ -10,7 +10,16 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows, sample_windows
 from idapt_pl.diagnosis.noise import Noise, estimate_noise
 from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.diagnosis.whitening import InitialStateSensitivity, WhitenedWindows, initial_sensitivity, whitener
+from idapt_pl.diagnosis.whitening import (
+    InitialStateSensitivity,
+    WhitenedWindows,
+    initial_sensitivity,
+    moved_little,
+    whitener,
+)
+
+MUCH_THE_SAME = 0.25
+"""Share of what is left (squared) by which predictions may move before sensitivities are measured again."""
 
 SECONDS_PER_STEP = 1e-5
 """Nominal cost of simulating one step of one window, about what small machines with contacts take on two cores."""
@@ -31,9 +40,19 @@ class ModelStructure:
 
 @dataclass(frozen=True, eq=False)
 class WindowSensitivity:
-    """Windows of a search, and how they depend on their first states under a model of some structure."""
+    """Windows of a search, and how they depend on their first states under a model of some structure.
+
+    Attributes:
+        structure: of the model.
+        residual: that it leaves of ``fit``, (n, j, channels).
+        fit: windows of the fitted episodes.
+        held_out: windows of the others.
+        at_fit: sensitivity of the former.
+        at_held_out: of the latter.
+    """
 
     structure: ModelStructure
+    residual: np.ndarray
     fit: Windows
     held_out: Windows
     at_fit: InitialStateSensitivity
@@ -75,9 +94,9 @@ def whiten_windows(
         structure: of the model.
         effects: all of the model's.
         noise: as it was taken to be so far. It is estimated again, unless it is given.
-        known: sensitivities so far. They are dear, so they are kept if the structure is the same.
+        known: sensitivities so far. They are dear, so they are kept while the model is much the same.
     """
-    if known is None or known.structure != structure:
+    if known is None or not still_hold(context, known, structure, effects, noise):
         known = measure_sensitivity(context, structure, effects, noise)
     sim, s, possible = context.sim, context.settings, affordable_windows(context, structure.fixed)
     noise = context.known_noise or estimate_noise(sim, effects, context.probe)
@@ -98,7 +117,17 @@ def measure_sensitivity(
         context, structure.fixed, context.held_out_episodes, s.held_out_windows, context.seed + 2
     )
     at = [initial_sensitivity(sim, effects, w, noise.start) for w in (fit, held_out)]
-    return WindowSensitivity(structure, fit, held_out, *at)
+    return WindowSensitivity(structure, sim.residual(effects, fit), fit, held_out, *at)
+
+
+def still_hold(
+    context: SearchContext, known: WindowSensitivity, structure: ModelStructure, effects: Effects, noise: Noise
+) -> bool:
+    """Whether sensitivities count for a model of another structure: while its predictions are near those before."""
+    if known.structure == structure or known.structure.fixed != structure.fixed:
+        return known.structure == structure
+    W = whitener(known.at_fit, noise, context.sim.compared)
+    return moved_little(W, known.residual, context.sim.residual(effects, known.fit), MUCH_THE_SAME)
 
 
 def cut_windows_for(context: SearchContext, fixed: Effects, episodes: np.ndarray, limit: int, seed: int) -> Windows:

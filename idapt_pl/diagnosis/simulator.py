@@ -14,11 +14,13 @@ from mujoco import rollout
 
 from idapt_pl.diagnosis.backlash import BacklashCoordinates
 from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
+from idapt_pl.diagnosis.held_commands import HeldCommands
 from idapt_pl.diagnosis.law_history import LawsInWindows
+from idapt_pl.diagnosis.recent import RecentArrays
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.joints import PLAY_SUFFIX
 from idapt_pl.effects.learned import SignalForce
-from idapt_pl.effects.runtime import Command, CommandEffect, ForceEffect, RuntimeEffect, SensingEffect
+from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.effects.world import ExternalForce
 
 Effects = tuple[Effect, ...]
@@ -33,6 +35,9 @@ COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtS
 
 SETTLING_SAMPLES = 8
 """Samples before a window from which it is found out where in their play joints are."""
+
+KEPT_BYTES = 2**27
+"""Of predictions: those of a round of the search, of which many are asked for again in the next."""
 
 FORCE_HOLD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
@@ -59,8 +64,7 @@ def silence_mujoco() -> Iterator[None]:
 class Simulator:
     """Replays windows from their first measured state.
 
-    Commands are held, not interpolated, and averaged over each time step, so that delays and time
-    stamps need not be multiples of it. Predictions are read off at the samples' own times.
+    Predictions are read off at the samples' own times. What is asked for again is not simulated again.
 
     Args:
         spec: the nominal model.
@@ -75,21 +79,25 @@ class Simulator:
         self, spec: mujoco.MjSpec, data: list[Recording], velocities: bool, threads: int | None = None,
         unmeasured: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self.spec, self.data, self.velocities = spec, data, velocities
+        self.spec, self.velocities = spec, velocities
         self.model = spec.copy().compile()
         self.threads = threads or os.cpu_count() or 1
         self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
         self.calls, self.kept_models = 0, 8
-        self._commands: dict = {}
-        self._samples: dict = {}
+        self._record(data)
         self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
 
     def replaying(self, data: list[Recording]) -> Simulator:
         """The same for other recordings; compiled models are shared."""
         twin = copy.copy(self)
-        twin.data, twin._commands, twin._samples = data, {}, {}
+        twin._record(data)
         return twin
+
+    def _record(self, data: list[Recording]) -> None:
+        """Recordings, and what is kept of them."""
+        self.data, self.commands = data, HeldCommands(self.model, data)
+        self._samples, self._predictions = RecentArrays[np.ndarray](KEPT_BYTES), RecentArrays[Motion](KEPT_BYTES)
 
     @property
     def channels(self) -> list[str]:
@@ -141,8 +149,17 @@ class Simulator:
 
     def predict(
         self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Motion:
         """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
+        if push is not None:
+            return self._simulate(effects, windows, nudge, push)
+        moved = b"" if nudge is None else nudge.tobytes()
+        key = (effects, windows.start.tobytes(), windows.episode.tobytes(), windows.offsets.tobytes(), moved)
+        return self._predictions.get(key, lambda: self._simulate(effects, windows, nudge, None))
+
+    def _simulate(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None, push: np.ndarray | None
+    ) -> Motion:
         self.calls += 1
         model, data = self._ready(effects)
         qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
@@ -155,7 +172,7 @@ class Simulator:
         times = self._times(windows)
         ends = times[:, windows.offsets] - times[:, :1]
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
-        controls = self._controls(effects, windows, steps, model.opt.timestep)
+        controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
         play = BacklashCoordinates(self.model, model)
         with silence_mujoco():
             loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
@@ -175,13 +192,11 @@ class Simulator:
 
     def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
         """One channel of the recordings at samples of every window, (n, offsets, ...); the last few are kept."""
-        key = (name, windows.start.tobytes(), windows.episode.tobytes(), offsets.tobytes())
-        if key not in self._samples:
-            if len(self._samples) >= 32:
-                self._samples.pop(next(iter(self._samples)))
-            pairs = zip(windows.episode, windows.start, strict=True)
-            self._samples[key] = np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs])
-        return self._samples[key]
+        pairs = zip(windows.episode, windows.start, strict=True)
+        return self._samples.get(
+            (name, windows.start.tobytes(), windows.episode.tobytes(), offsets.tobytes()),
+            lambda: np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs]),
+        )
 
     def _joints(self, m: mujoco.MjModel, target: str) -> list[int]:
         scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY_SUFFIX)]
@@ -199,7 +214,8 @@ class Simulator:
         before = np.minimum(windows.start, SETTLING_SAMPLES)
         early = Windows(windows.episode, windows.start - before, np.zeros(1, int))
         per_sample = max(1, round(float(np.median(np.diff(self._times(windows)))) / model.opt.timestep))
-        controls = self._controls(effects, early, int(before.max(initial=0)) * per_sample, model.opt.timestep)
+        steps = int(before.max(initial=0)) * per_sample
+        controls = self.commands.averaged(effects, early, steps, model.opt.timestep)
         loose = np.zeros((len(windows), 2, play.size))
         for k in range(int(before.max(initial=0))):
             rows = np.flatnonzero(k < before)
@@ -215,34 +231,6 @@ class Simulator:
         q, v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
         qpos[..., q], qvel[..., v] = how(qpos[..., q], qvel[..., v])
         return qpos, qvel
-
-    def _controls(self, effects: Effects, windows: Windows, steps: int, h: float) -> np.ndarray:
-        """Commands averaged over each time step, (n, steps, nu)."""
-        on_commands = tuple(e for e in effects if isinstance(e, CommandEffect))
-        key = (on_commands, steps, h, windows.start.tobytes(), windows.episode.tobytes())
-        if key not in self._commands:
-            if len(self._commands) > 8:
-                self._commands.clear()
-            self._commands[key] = self._average(on_commands, windows, steps, h)
-        return self._commands[key]
-
-    def _average(self, effects: tuple[CommandEffect, ...], windows: Windows, steps: int, h: float) -> np.ndarray:
-        nu = self.model.nu
-        out = np.zeros((len(windows), steps, nu))
-        for e in np.unique(windows.episode) if nu else ():
-            record, rows = self.data[e], np.flatnonzero(windows.episode == e)
-            command = Command(record.time, record.actions)
-            for effect in effects:
-                command = effect.transform(command, effect.columns(self.model), h)
-            # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
-            early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
-            edges = np.concatenate([[early], command.edges[: len(command.values)], [late]])
-            values = np.concatenate([command.values[:1], command.values])
-            total = np.concatenate([np.zeros((1, nu)), np.cumsum(values * np.diff(edges)[:, None], 0)])
-            at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)
-            for i in range(nu):
-                out[rows, :, i] = np.diff(np.interp(at, edges, total[:, i]), axis=1) / h
-        return out
 
     def _roll(
         self, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects, time: np.ndarray, qpos: np.ndarray,

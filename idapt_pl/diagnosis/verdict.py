@@ -66,7 +66,7 @@ def too_quiet(context: SearchContext, state: SearchState) -> bool:
     wanted = wanted or [c for c in context.candidates if c.kind.name == "body_mass"]
     if not wanted:
         return False
-    screen, limits = ScoreTest(context, state, state.windows.screen, context.whitened), []
+    screen, limits = ScoreTest(context, state, state.windows.screen), []
     for c in wanted:
         D = screen.derivative(c, np.array(c.nominal))
         limits.append(context.settings.z * c.scale[0] / max(float(np.linalg.norm(D)), 1e-12) / c.nominal[0])

@@ -61,6 +61,20 @@ def whiten(W: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return np.einsum("nab,nb->na", W, residual.reshape(len(residual), -1))
 
 
+def moved_little(W: np.ndarray, before: np.ndarray, after: np.ndarray, share: float = 1.0) -> bool:
+    """Whether a model's predictions moved by less (squared) than a share of what it leaves, before and after.
+
+    Args:
+        W: whitens residuals, (n, rows, j channels).
+        before: residuals, (n, j, channels).
+        after: the same later.
+        share: of the lesser of what is left before and after.
+    """
+    one, other = whiten(W, before), whiten(W, after)
+    left = min(float(np.square(one).sum()), float(np.square(other).sum()))
+    return float(np.square(other - one).sum()) < share * left
+
+
 @dataclass(frozen=True)
 class WhitenedWindows:
     """Windows, with what whitens their residuals under the current model: (n, rows, residuals)."""

@@ -19,6 +19,18 @@ HUBER = 4.0
 FAR_OFF = 2.0
 """Loss above which a step that helped is tried at twice its length."""
 
+CONVERGED = 1e-4
+"""Share of the loss that a step with measured slopes must gain for another to be tried."""
+
+FADING = 2e-3
+"""The same of a step with corrected slopes: they are measured anew where it gains less,"""
+
+KEPT_PROMISE = 0.5
+"""or less than this of what they promised."""
+
+SMALL_STEP = 0.02
+"""Scales by which a parameter is moved to measure a slope."""
+
 LONGEST_STEP = 20.0
 """Scales that one step changes a parameter by at most."""
 
@@ -83,7 +95,7 @@ class LeastSquaresFit:
     Attributes:
         x: parameters, (p,).
         loss: mean robust loss.
-        J: d residual / d (x / scale) where the last step began, (n rows, p).
+        J: d residual / d (x / scale) there, (n rows, p).
         z: residuals at x, (n, rows).
     """
 
@@ -107,34 +119,75 @@ class _Point:
         return cls(x, z, float(robust_loss(z).mean()))
 
 
-def gauss_newton(residual: Residual, x: np.ndarray, box: ParameterBox, iterations: int = 8) -> LeastSquaresFit:
+def gauss_newton(
+    residual: Residual,
+    x: np.ndarray,
+    box: ParameterBox,
+    iterations: int = 8,
+    exact: bool = False,
+    slopes: np.ndarray | None = None,
+) -> LeastSquaresFit:
     """Minimise Huber's loss: iteratively re-weighted Levenberg-Marquardt inside bounds, with numeric derivatives.
+
+    Slopes are measured where the fit starts, and again where steps no longer do what these promise. In between every
+    step corrects them (Broyden's rank-one update, 1965), which costs nothing.
 
     Args:
         residual: what to make small.
         x: where to start, (p,).
         box: scales and bounds.
-        iterations: at most so many, at least 1.
+        iterations: steps at most, at least 1.
+        exact: measure the slopes once more where the fit ends. Else they are what the steps made of them.
+        slopes: by the first parameters, known from elsewhere, (n rows, q): only the others' are measured at first.
     """
     now, damping = _Point.at(residual, box.clip(x)), 1e-3
-    for _ in range(iterations):
+    J, fresh = jacobian(residual, now.x, now.z, box, slopes), slopes is None or not slopes.size
+    for k in range(iterations):
+        better, damping = _damped_step(residual, now, J, box, damping, tries=4 if fresh else 1)
+        gain, kept = 0.0, 0.0
+        if better is not None:
+            kept = (now.loss - better.loss) / max(_promised_gain(now, J, (better.x - now.x) / box.scale), 1e-300)
+            better = _twice_as_far(residual, now, better, box)
+            gain = (now.loss - better.loss) / now.loss
+            J = broyden(J, (better.x - now.x) / box.scale, (better.z - now.z).ravel())
+            now, damping = better, damping / 5
+        if gain < CONVERGED and fresh:
+            fresh = better is None
+            break
+        fresh = (gain < FADING or kept < KEPT_PROMISE) and k + 1 < iterations
+        if fresh:
+            J = jacobian(residual, now.x, now.z, box)
+    if exact and not fresh:
         J = jacobian(residual, now.x, now.z, box)
-        better, damping = _damped_step(residual, now, J, box, damping)
-        if better is None:
-            break
-        better = _twice_as_far(residual, now, better, box)
-        gain = now.loss - better.loss
-        now, damping = better, damping / 5
-        if gain < 1e-4 * now.loss:
-            break
     return LeastSquaresFit(now.x, now.loss, J, now.z)
 
 
-def jacobian(residual: Residual, x: np.ndarray, base: np.ndarray, box: ParameterBox, step: float = 0.02) -> np.ndarray:
-    """D residual / d (x / scale), (n rows, p), by one-sided differences inside the bounds; ``base`` is that at x."""
-    columns = []
-    for k in range(len(x)):
-        h = step * box.scale[k]
+def _promised_gain(now: _Point, J: np.ndarray, step: np.ndarray) -> float:
+    """What a step (p,) takes from the loss if slopes are right."""
+    z = now.z.ravel()
+    return float(huber_weights(z) @ (np.square(z) - np.square(z + J @ step))) / z.size
+
+
+def broyden(J: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Slopes (rows, p) that say of a step (p,) what it did to residuals, (rows,), and else what they said before."""
+    return J + np.outer(change - J @ step, step / (step @ step))
+
+
+def jacobian(
+    residual: Residual, x: np.ndarray, base: np.ndarray, box: ParameterBox, known: np.ndarray | None = None
+) -> np.ndarray:
+    """D residual / d (x / scale), (n rows, p), by one-sided differences inside the bounds.
+
+    Args:
+        residual: of which.
+        x: where, (p,).
+        base: the residual there, (n, rows).
+        box: scales and bounds.
+        known: the first columns, where they need not be measured, (n rows, q).
+    """
+    columns = [] if known is None else list(known.T)
+    for k in range(len(columns), len(x)):
+        h = SMALL_STEP * box.scale[k]
         h = -h if x[k] + h > box.high[k] else h
         moved = x.copy()
         moved[k] += h
@@ -143,12 +196,12 @@ def jacobian(residual: Residual, x: np.ndarray, base: np.ndarray, box: Parameter
 
 
 def _damped_step(
-    residual: Residual, now: _Point, J: np.ndarray, box: ParameterBox, damping: float
+    residual: Residual, now: _Point, J: np.ndarray, box: ParameterBox, damping: float, tries: int
 ) -> tuple[_Point | None, float]:
     """A step that helps, damped ever more until it does, or None; and the damping it took."""
     z = now.z.ravel()
     H, g = normal_equations(J, z, huber_weights(z))
-    for _ in range(4):
+    for _ in range(tries):
         move = _free_move(now.x, g, H + damping * np.diag(np.diag(H) + 1e-12), box)
         trial = _Point.at(residual, box.step(now.x, move, LONGEST_STEP))
         if trial.loss < now.loss:

@@ -88,7 +88,7 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
     before, common = error(context.declared), error(state.effects)
     if not state.accepted:
         return OwnFit(np.zeros(0), np.zeros(0), SetResult(recordings, before, common, common, {}))
-    fit = context.fit(split, state.fixed, state.candidates, state.estimates, 5)
+    fit = context.fit(split, state.fixed, state.candidates, state.estimates, 8, exact=True)
     own = error((*state.fixed, *effects_of(state.candidates, fit.x)))
     clusters = clusters_of(windows.episode, windows.start)
     V = covariance(fit.solution, clusters)

@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 from idapt_pl.estimation.least_squares import (
     HUBER,
     ParameterBox,
+    broyden,
     gauss_newton,
     huber,
     huber_weights,
@@ -81,6 +82,51 @@ def test_a_linear_problem_takes_one_step_and_little_damping():
         lambda x: (A @ x - b).reshape(8, 5), np.zeros(2), ParameterBox(np.ones(2), *np.array([[-9.0] * 2, [9.0] * 2]))
     )
     assert fit.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], rel=1e-3)
+
+
+def counted(residual):
+    """The same residuals, and a list with an entry for each time they are asked for."""
+    calls = []
+
+    def wrapped(x):
+        calls.append(x)
+        return residual(x)
+
+    return wrapped, calls
+
+
+def test_slopes_are_measured_again_only_where_steps_do_not_do_what_they_promise():
+    noise = np.random.default_rng(0).normal(size=60)
+    wrapped, calls = counted(lambda x: ((decay(TRUTH) - decay(x)) / 0.02 + noise).reshape(12, 5))
+    fit = gauss_newton(wrapped, TRUTH + 0.1, FREE, iterations=4)
+    assert fit.loss < 1.05
+    assert len(calls) < 0.7 * (1 + 4 * (3 + 1)), "far fewer than slopes and a step in each of four iterations"
+
+
+def test_exact_slopes_are_those_where_the_fit_ended(residual):
+    fit = gauss_newton(residual, START, FREE, exact=True)
+    np.testing.assert_array_equal(fit.J, jacobian(residual, fit.x, fit.z, FREE))
+
+
+def test_known_slopes_are_not_measured_and_wrong_ones_do_no_harm(residual):
+    truth = jacobian(residual, START, residual(START), FREE)
+    fits, simulated = [], []
+    for slopes in (None, truth[:, :2], np.random.default_rng(0).normal(size=(60, 2))):
+        wrapped, calls = counted(residual)
+        fits.append(gauss_newton(wrapped, START, FREE, iterations=40, slopes=slopes))
+        simulated.append(len(calls))
+    assert fits[1].loss == pytest.approx(fits[0].loss, rel=1e-3)
+    assert fits[2].loss == pytest.approx(fits[0].loss, rel=1e-3)
+    assert simulated[1] <= simulated[0] - 2
+
+
+def test_a_step_corrects_slopes_along_itself_alone():
+    rng = np.random.default_rng(0)
+    J, step, change = rng.normal(size=(7, 3)), rng.normal(size=3), rng.normal(size=7)
+    corrected = broyden(J, step, change)
+    assert corrected @ step == pytest.approx(change)
+    across = np.cross(step, [1.0, 0, 0])
+    assert corrected @ across == pytest.approx(J @ across)
 
 
 def test_slopes_are_in_units_of_the_scales_and_stay_inside_the_bounds():
