@@ -20,8 +20,10 @@ from idapt_pl.effects.wording import format_number
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
-STEPS = 5
-"""Of a fit with a candidate."""
+STEPS, FIRST_STEPS = 5, 2
+"""Of a fit with a candidate, and of these before those far behind are left."""
+IN_THE_RACE = 0.7
+"""Share of the way from the best candidate's loss to that without any, beyond which one is far behind."""
 FAR_LOSS = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
 NOTICEABLE_CHANGE = 0.03
@@ -50,8 +52,7 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     Returns:
         Their trials, by what they leave on few windows, the least first; most of them rejected.
     """
-    slopes = slopes_of_accepted(context, state, state.windows.scout)
-    rough = sorted((rough_fit(context, state, t, slopes) for t in chosen), key=lambda t: t.rough_loss)
+    rough = rough_fits(context, state, chosen)
     slopes = slopes_of_accepted(context, state, state.windows.screen)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     now = context.loss(state.windows.held_out, state.effects)
@@ -70,11 +71,30 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     return confirmed
 
 
-def rough_fit(context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray) -> Trial:
-    """Refit a candidate, with all accepted effects free, on few windows; ``slopes`` by these, (n rows, p)."""
-    candidates, x = [*state.candidates, t.candidate], [*state.estimates, t.x[-1]]
-    fit = context.fit(state.windows.scout, state.fixed, candidates, x, STEPS, slopes=slopes)
-    return replace(t, x=fit.x, rough_loss=fit.solution.loss)
+def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Trial]) -> list[Trial]:
+    """Refit candidates, with all accepted effects free, on few windows, best first.
+
+    After some steps those that are far behind are left as they are.
+    """
+    slopes = slopes_of_accepted(context, state, state.windows.scout)
+    without = float(context.loss(state.windows.scout, state.effects).mean())
+    begun = []
+    for t in chosen:
+        start = replace(t, x=(*state.estimates, t.x[-1]))
+        begun.append(rough_fit(context, state, start, FIRST_STEPS, slopes))
+    best = min((t.rough_loss for t, _ in begun), default=without)
+    near = best + IN_THE_RACE * max(without - best, 0.0)
+    done = [rough_fit(context, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t for t, J in begun]
+    return sorted(done, key=lambda t: t.rough_loss)
+
+
+def rough_fit(
+    context: SearchContext, state: SearchState, t: Trial, steps: int, slopes: np.ndarray
+) -> tuple[Trial, np.ndarray]:
+    """Some steps from where a trial is; ``slopes`` by the first parameters. With the slopes by all where it ended."""
+    candidates = [*state.candidates, t.candidate]
+    fit = context.fit(state.windows.scout, state.fixed, candidates, t.x, steps, slopes=slopes)
+    return replace(t, x=fit.x, rough_loss=fit.solution.loss), fit.solution.J
 
 
 def refine(

@@ -17,8 +17,8 @@ from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.estimation.least_squares import robust_loss
 
 log = logging.getLogger(__name__)
-NO_CHANGE = 0.01
-"""Numerics that move predictions by less than this of what is left cannot take 2 % of it (squared) away."""
+LEAST_GAIN, LEAST_OF_REST = 0.02, 0.1
+"""Shares of the loss, and of what of it is above the noise, that other numerics must take away."""
 NUMERICS_FLOOR = 1.05
 """Loss at which nothing is left for other numerics to gain."""
 
@@ -40,7 +40,7 @@ def retest_numerics(context: SearchContext, state: SearchState) -> SearchState:
     gain, error = paired_gain(now, after, held_out.windows.episode)
     level = float(now.mean())
     sure = gain - context.settings.sureness * error > 0
-    if not (sure and gain > max(0.03 * level, 0.1 * max(level - 1.0, 0.0), 0.05)):
+    if not (sure and gain > max(0.03 * level, LEAST_OF_REST * max(level - 1.0, 0.0), 0.05)):
         return state
     log.info("numerics: %s leaves %.3g of %.3g", best.fixed[-1].to_dict()["parameters"], after.mean(), level)
     return refit_accepted(context, renew(context, best))
@@ -56,17 +56,17 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
     level = float(robust_loss(z).mean())
     if level < NUMERICS_FLOOR:
         return None
-    best, best_loss = None, level
+    best, best_loss, asked = None, level, max(LEAST_GAIN, LEAST_OF_REST * (1 - 1 / level))
     for effect in numerics_candidates(context.sim.model):
         if effect in state.fixed:
             continue
         fixed = (*others, effect)
         moved = context.whitened(state.windows.screen, (*fixed, *effects_of(state.candidates, state.estimates))) - z
-        if np.square(moved).sum() < NO_CHANGE**2 * np.square(z).sum():
-            continue
+        if np.square(moved).sum() < (asked / 2) ** 2 * np.square(z).sum():
+            continue  # |z + moved|² < (1 - asked) |z|² takes a larger one
         x = refit_under(context, state, fixed)
         loss = float(context.loss(state.windows.screen, (*fixed, *effects_of(state.candidates, x))).mean())
-        if loss < 0.98 * level and loss < 1.3 * best_loss:
+        if loss < (1 - LEAST_GAIN) * level and loss < 1.3 * best_loss:
             best, best_loss = replace(state, fixed=fixed).with_estimates(x), min(loss, best_loss)
     return best
 

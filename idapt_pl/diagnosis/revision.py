@@ -13,7 +13,7 @@ from idapt_pl.diagnosis.acceptance import (
     FAR_LOSS,
     PARSIMONY,
     beyond_its_kind,
-    rough_fit,
+    rough_fits,
     too_small_a_change,
     why_implausible,
 )
@@ -42,6 +42,8 @@ SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
 PLACES_SCREENED = 4
 """So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
+IN_SIGHT = 1.5
+"""Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
 MANY_PARAMETERS = 3
 """An effect with so many bends to what others did: beside others it has to stand against all of them."""
 
@@ -82,12 +84,11 @@ def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[T
     """The best candidates for the place of a found effect, given the others; roughly refitted."""
     own = state.accepted[place].candidate
     rest = refit_accepted(context, state.without(state.accepted[place]))
-    chosen = shortlist(
-        screen_candidates(context, rest, len(state.accepted), as_seen_before=True), context.settings.confirm
-    )
-    slopes = slopes_of_accepted(context, rest, rest.windows.scout)
-    rough = sorted((rough_fit(context, rest, t, slopes) for t in chosen), key=lambda t: t.rough_loss)
-    return [t for t in rough if (t.candidate.label, t.candidate.names) != (own.label, own.names)][:3]
+    ranked = screen_candidates(context, rest, len(state.accepted), as_seen_before=True)
+    others = [t for t in ranked if (t.candidate.label, t.candidate.names) != (own.label, own.names)]
+    rough = rough_fits(context, rest, shortlist(others, context.settings.confirm))
+    most = IN_SIGHT * float(context.loss(state.windows.scout, state.effects).mean())
+    return [t for t in rough if t.rough_loss < most][:3]
 
 
 def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Sequence[Trial]) -> SearchState:

@@ -7,16 +7,21 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis import replay
+from idapt_pl.diagnosis.candidate_fit import CandidateFit
 from idapt_pl.diagnosis.data import Recording, Windows, choose_rows, over_impacts, with_impacts
 from idapt_pl.diagnosis.last_resort import is_narrower
-from idapt_pl.diagnosis.search_state import AcceptedEffect
+from idapt_pl.diagnosis.measurement import measure_intervals
+from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping, JointStribeck
-from idapt_pl.effects.signals import ActuatorDelay
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.effects.world import GravityDirection
+from idapt_pl.estimation.least_squares import LeastSquaresFit
 
 DELAY = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
 FALLING = Candidate(JointStribeck, "a", ("coulomb", "static", "speed"), (0.0, 0.0, 1.0), (0.1, 0.1, 1.0), strength=2)
+
+NO_ERRORS = SimpleNamespace(systematic=())
 
 
 @pytest.mark.parametrize(
@@ -99,3 +104,21 @@ def test_only_what_is_narrower_than_possible_is_looked_at_again():
     tilt = Candidate(GravityDirection, "world", ("tilt_x",), (0.0,), (0.1,), plausible=((-0.26, 0.26),))
     anything = Candidate(JointDamping, "a", ("damping",), (0.0,), (0.1,))
     assert is_narrower(tilt) and not is_narrower(anything)
+
+
+def test_what_no_recording_shows_may_be_anything_in_its_range():
+    rng = np.random.default_rng(0)
+    z, J = rng.normal(size=(40, 5)), np.stack([rng.normal(size=200), np.zeros(200)], 1)
+    span, names = ((0.0, 1.0), (-0.5, 2.0)), ("time_constant", "dead_time")
+    two = Candidate(ActuatorLag, "*", names, (0.0, 0.0), (0.02, 0.02), span=span)
+    windows = SimpleNamespace(windows=Windows(np.repeat(np.arange(8), 5), np.arange(40), np.array([1])))
+    state = SearchState((), (AcceptedEffect(0, two, np.zeros(2)),), SimpleNamespace(fit=windows, noise=NO_ERRORS))
+    solution = LeastSquaresFit(np.array([0.3, 0.1]), 1.0, J, z)
+    context = SimpleNamespace(
+        fit=lambda *args, **options: CandidateFit((solution.x,), solution),
+        whitened=lambda split, effects: z,
+        sim=SimpleNamespace(compile=lambda fixed: SimpleNamespace(opt=SimpleNamespace(timestep=0.0))),
+    )
+    seen, unseen = measure_intervals(context, state).accepted[0].interval
+    assert 0.001 < np.ptp(seen) < 0.05 and seen.mean() == pytest.approx(0.3)
+    assert unseen.tolist() == [-0.5, 2.0]
