@@ -55,12 +55,15 @@ class Explanation:
             found.
         effects: all of them but the declared ones.
         loss: what it leaves on held-out episodes, squared and in units of the noise.
+        probability: by the recordings and by how usual its effects are; what all of them lack to 1 is that something
+            else is missing, or more.
     """
 
     standing: Standing
     instead: str
     effects: Sequence[ExplainingEffect]
     loss: float
+    probability: float
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
@@ -69,13 +72,16 @@ class Explanation:
             "instead": self.instead,
             "effects": [e.to_dict() for e in self.effects],
             "loss": self.loss,
+            "probability": self.probability,
         }
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> Explanation:
         """From an entry of ``report.json``."""
         effects = tuple(map(ExplainingEffect.from_dict, entry["effects"]))
-        return cls(Standing(entry["standing"]), entry["instead"], effects, float(entry["loss"]))
+        return cls(
+            Standing(entry["standing"]), entry["instead"], effects, float(entry["loss"]), entry.get("probability", 0.0)
+        )
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,10 @@ def amplitude_places(terms: Sequence[Term]) -> np.ndarray:
     return np.flatnonzero(kinds)
 
 
+MOST = 1e9
+"""What a coefficient of a law can be, either sign."""
+
+
 def law_candidate(
     sizes: JointSizes, terms: Sequence[Term], amplitudes: np.ndarray, typical: np.ndarray
 ) -> tuple[LawCandidate, np.ndarray]:
@@ -75,7 +79,8 @@ def law_candidate(
             guess, usual = next(guesses)
             start.append(float(guess))
             scale.append(float(usual))
-            span.append((-1e4 * float(usual), 1e4 * float(usual)))
+            most = min(1e4 * float(usual), MOST)
+            span.append((-most, most))
         for value, per in zip(term.inner, term.per, strict=True):
             start.append(value)
             scale.append(inner_scale(value, per, sizes, term))

@@ -21,7 +21,13 @@ from idapt_pl.diagnosis.law_places import ResidualPlace, blamed_sensor, residual
 from idapt_pl.diagnosis.law_proposals import Proposal, joint_forecasts, propose_laws
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.revision import eliminate_needless
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.search_state import (
+    AcceptedEffect,
+    SearchState,
+    refit_accepted,
+    renew,
+    slopes_of_accepted,
+)
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
@@ -190,15 +196,16 @@ def fit_laws(
     context: SearchContext, state: SearchState, proposals: Sequence[Proposal], now: np.ndarray
 ) -> list[FittedLaw]:
     """Fit proposals by simulation on few windows, the best on all, and judge these; ``now``: losses without, (n,)."""
-    rough = []
+    rough, slopes = [], slopes_of_accepted(context, state, state.windows.scout)
     for p in proposals:
         candidates = [*state.candidates, p.candidate]
-        fit = context.fit(state.windows.scout, state.fixed, candidates, [*state.estimates, p.start], 3)
+        start = [*state.estimates, p.start]
+        fit = context.fit(state.windows.scout, state.fixed, candidates, start, 3, slopes=slopes)
         rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
-    out = []
+    out, slopes = [], slopes_of_accepted(context, state, state.windows.screen)
     for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
         candidates = [*state.candidates, p.candidate]
-        x = context.fit(state.windows.screen, state.fixed, candidates, x, 5).x
+        x = context.fit(state.windows.screen, state.fixed, candidates, x, 5, slopes=slopes).x
         losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
         log.info("tried %s: %.3g", p.candidate.label, losses.mean())

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.probabilities import probabilities
 from idapt_pl.diagnosis.result import Alternative
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.plausible import RARITY
 
 NEARLY = 0.8
 """Share of an effect's held-out gain from which on a refused rival is worth a further recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedExplanation:
+    """An explanation, and its losses in the held-out windows, (n,)."""
+
+    value: Explanation
+    losses: np.ndarray
 
 
 def describe_measurement(context: SearchContext, state: SearchState) -> Measurement:
@@ -44,26 +55,41 @@ def remaining_explanations(
     """
     if not state.accepted:
         return []
-    left = float(context.loss(state.windows.held_out, state.effects).mean())
+    left = context.loss(state.windows.held_out, state.effects)
     found = explanation(context, state.fixed, state.candidates, state.estimates, "", Standing.FOUND, left)
     last = {id(a): i for i, a in enumerate(reversed(state.accepted))}
     same = [with_alternative(found, last[id(a)], a, other) for a, other in inseparable]
-    return [found, *same, *(e for a in state.accepted for e in explanations_with_rivals(context, state, a, left))]
+    rivals = (e for a in state.accepted for e in explanations_with_rivals(context, state, a, float(left.mean())))
+    return with_probabilities(context, state, [found, *same, *rivals])
+
+
+def with_probabilities(
+    context: SearchContext, state: SearchState, explanations: Sequence[JudgedExplanation]
+) -> list[Explanation]:
+    """Explanations with how probable they are."""
+    p = probabilities(
+        [e.losses for e in explanations],
+        int(context.sim.compared.sum()) * len(state.windows.held_out.windows.offsets),
+        [sum(len(x.free) for x in e.value.effects) for e in explanations],
+        [sum(x.effect.name in RARITY for x in e.value.effects) for e in explanations],
+        context.seed,
+    )
+    return [replace(e.value, probability=round(float(x), 4)) for e, x in zip(explanations, p, strict=True)]
 
 
 def explanations_with_rivals(
     context: SearchContext, state: SearchState, effect: AcceptedEffect, left: float
-) -> list[Explanation]:
+) -> list[JudgedExplanation]:
     """The explanations with an equivalent in the place of an effect, then those with a rival that does nearly as well.
 
-    ``left`` is the held-out loss of what was found.
+    ``left`` is the mean held-out loss of what was found.
     """
     equal = [refitted(context, state, effect, t, Standing.EQUIVALENT) for t in effect.equivalent]
     refused = [t for t in effect.rivals if t not in effect.equivalent and not is_like(t, effect)]
     behind = [refitted(context, state, effect, t, Standing.RUNNER_UP) for t in refused]
     without = float(context.loss(state.windows.held_out, state.without(effect).effects).mean())
-    near = [e for e in behind if without - e.loss >= NEARLY * (without - left)]
-    return equal + sorted(near, key=lambda e: e.loss)
+    near = [e for e in behind if without - e.value.loss >= NEARLY * (without - left)]
+    return equal + sorted(near, key=lambda e: e.value.loss)
 
 
 def is_like(t: Trial, effect: AcceptedEffect) -> bool:
@@ -73,24 +99,25 @@ def is_like(t: Trial, effect: AcceptedEffect) -> bool:
 
 def refitted(
     context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial, standing: Standing
-) -> Explanation:
+) -> JudgedExplanation:
     """The explanation with a trial's candidate in the place of an effect, all its parameters fitted again."""
     candidates = [trial.candidate if a is effect else a.candidate for a in state.accepted]
     x = [trial.x[-1] if a is effect else a.x for a in state.accepted]
     fitted = context.fit(state.windows.screen, state.fixed, candidates, x, 3).x
-    left = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, fitted))).mean()
-    return explanation(context, state.fixed, candidates, fitted, trial.candidate.label, standing, float(left))
+    left = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, fitted)))
+    return explanation(context, state.fixed, candidates, fitted, trial.candidate.label, standing, left)
 
 
 def explanation(
     context: SearchContext, fixed: Effects, candidates: Sequence[Candidate], x: Sequence[np.ndarray], label: str,
-    standing: Standing, loss: float,
-) -> Explanation:  # fmt: skip
+    standing: Standing, losses: np.ndarray,
+) -> JudgedExplanation:  # fmt: skip
     """An explanation with these effects; ``label`` tells which of them is not among those found."""
     known = [ExplainingEffect(e, {}) for e in fixed if e not in context.declared]
     effects = effects_of(candidates, x)
     free = [ExplainingEffect(e, free_parameters(c)) for e, c in zip(effects, candidates, strict=True)]
-    return Explanation(standing, label, (*known, *free), float(f"{loss:.4g}"))
+    value = Explanation(standing, label, (*known, *free), float(f"{losses.mean():.4g}"), 0.0)
+    return JudgedExplanation(value, losses)
 
 
 def free_parameters(c: Candidate) -> dict[str, tuple[float, float]]:
@@ -99,7 +126,9 @@ def free_parameters(c: Candidate) -> dict[str, tuple[float, float]]:
     return {name: (float(nominal), float(scale)) for name, nominal, scale in rows}
 
 
-def with_alternative(found: Explanation, from_last: int, a: AcceptedEffect, other: Alternative) -> Explanation:
+def with_alternative(
+    found: JudgedExplanation, from_last: int, a: AcceptedEffect, other: Alternative
+) -> JudgedExplanation:
     """The explanation found, with what is the same by construction in place of an effect.
 
     Args:
@@ -113,6 +142,8 @@ def with_alternative(found: Explanation, from_last: int, a: AcceptedEffect, othe
     ((name, value),) = other.parameters.items()
     if not np.isclose(value, a.x[0], rtol=1e-4):  # one over it, and so much as its scale is then
         nominal, scale = 1 / nominal, scale * value**2
-    effects = list(found.effects)
+    effects = list(found.value.effects)
     effects[len(effects) - 1 - from_last] = ExplainingEffect(new, {name: (nominal, scale)})
-    return Explanation(Standing.EQUIVALENT, f"{other.effect}({other.target})", tuple(effects), found.loss)
+    label = f"{other.effect}({other.target})"
+    instead = replace(found.value, standing=Standing.EQUIVALENT, instead=label, effects=tuple(effects))
+    return JudgedExplanation(instead, found.losses)

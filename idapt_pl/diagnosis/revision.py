@@ -102,7 +102,7 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     slopes = slopes_of_accepted(context, rest, state.windows.fit) if rivals else None
     for t in rivals:
         candidates = [*rest.candidates, t.candidate]
-        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 8, slopes=slopes).x
+        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 5, slopes=slopes).x
         after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
         if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):

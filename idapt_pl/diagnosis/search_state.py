@@ -113,7 +113,7 @@ def slopes_of_accepted(context: SearchContext, state: SearchState, split: Whiten
     return jacobian(at, np.concatenate(state.estimates), base, parameter_box(state.candidates))
 
 
-def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 8) -> SearchState:
+def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 6) -> SearchState:
     """Fit what was accepted, all together."""
     if not state.accepted:
         return state

@@ -25,7 +25,7 @@ CONVERGED = 1e-4
 FADING = 2e-3
 """The same of a step with corrected slopes: they are measured anew where it gains less,"""
 
-KEPT_PROMISE = 0.5
+KEPT_PROMISE = 0.3
 """or less than this of what they promised."""
 
 SMALL_STEP = 0.02

@@ -9,6 +9,7 @@ import pytest
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis import law_search
 from idapt_pl.diagnosis.data import sample_windows
+from idapt_pl.diagnosis.law_candidate import law_candidate
 from idapt_pl.diagnosis.law_forecasts import regress
 from idapt_pl.diagnosis.law_history import remembered
 from idapt_pl.diagnosis.law_network import HIDDEN, network
@@ -172,3 +173,10 @@ def test_a_diagnosis_reports_a_law_and_leaves_it_out_on_request():
     assert diagnosis.verdict.value == "unexplained_residual" and laws["found"][0]["depends_on"] == ["q", "u"]
     assert any(isinstance(e, LearnedForce) for e in diagnosis.effects)
     assert "laws" not in diagnose(spec, data, threads=1, laws=False).report
+
+
+def test_coefficients_stay_within_what_a_law_can_have_however_weak_its_terms_are():
+    sizes = JointSizes("axis", True, np.linspace(-1, 1, 7), 2.0, 1.0, 1.0, 0.02, "u")
+    term = next(t for t in dictionary(sizes) if t.amplitudes == 1 and not t.inner)
+    candidate, _ = law_candidate(sizes, [term], np.array([1e12]), np.array([1e20]))
+    assert np.abs(candidate.effect([1e30]).a) <= 1e9

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
-from idapt_pl.diagnosis.remaining import with_alternative
+from idapt_pl.diagnosis.remaining import JudgedExplanation, with_alternative
 from idapt_pl.diagnosis.result import Alternative
 from idapt_pl.effects.actuators import MotorResistance
 from idapt_pl.effects.candidate import Candidate
@@ -19,10 +19,11 @@ DAMPING = ExplainingEffect(JointDamping("hip", 0.3), {"damping": (0.1, 0.05)})
 def test_late_measurements_take_the_place_of_late_commands_with_the_same_number():
     delay = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
     found = Explanation(
-        Standing.FOUND, "", (ExplainingEffect(ActuatorDelay("*", 0.016), {"delay": (0.0, 0.02)}), DAMPING), 0.8
+        Standing.FOUND, "", (ExplainingEffect(ActuatorDelay("*", 0.016), {"delay": (0.0, 0.02)}), DAMPING), 0.8, 0.5
     )
     a = SimpleNamespace(candidate=delay, x=np.array([0.016]))
-    same = with_alternative(found, 1, a, Alternative("sensor_delay", "*", {"delay": 0.016}, ""))
+    other = Alternative("sensor_delay", "*", {"delay": 0.016}, "")
+    same = with_alternative(JudgedExplanation(found, np.ones(3)), 1, a, other).value
     assert [(e.effect.name, e.free) for e in same.effects] == [
         ("sensor_delay", {"delay": (0.0, 0.02)}), ("joint_damping", DAMPING.free)
     ]  # fmt: skip
@@ -32,10 +33,15 @@ def test_late_measurements_take_the_place_of_late_commands_with_the_same_number(
 def test_a_gain_takes_the_place_of_a_resistance_with_one_over_its_number():
     resistance = Candidate(MotorResistance, "knee", ("resistance",), (1.0,), (0.2,))
     found = Explanation(
-        Standing.FOUND, "", (DAMPING, ExplainingEffect(MotorResistance("knee", 1.6), {"resistance": (1.0, 0.2)})), 0.8
+        Standing.FOUND,
+        "",
+        (DAMPING, ExplainingEffect(MotorResistance("knee", 1.6), {"resistance": (1.0, 0.2)})),
+        0.8,
+        0.5,
     )
     a = SimpleNamespace(candidate=resistance, x=np.array([1.6]))
-    same = with_alternative(found, 0, a, Alternative("actuator_gain", "knee", {"gain": 0.625}, ""))
+    other = Alternative("actuator_gain", "knee", {"gain": 0.625}, "")
+    same = with_alternative(JudgedExplanation(found, np.ones(3)), 0, a, other).value
     assert same.effects[0] is DAMPING and same.effects[1].effect.gain == 0.625
     nominal, scale = same.effects[1].free["gain"]
     assert (nominal, scale) == pytest.approx((1.0, 0.2 * 0.625**2))

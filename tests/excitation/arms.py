@@ -51,7 +51,7 @@ NOISE = Measurement(0.02, 5, True, (1e-3, 1e-2), (1e-3, 1e-2))
 def explained(standing, effect, **free):
     """An explanation with a single effect; ``free`` are nominal value and scale of its parameters."""
     instead = "" if standing is Standing.FOUND else f"{effect.name}({effect.target})"
-    return Explanation(standing, instead, (ExplainingEffect(effect, free),), 1.0)
+    return Explanation(standing, instead, (ExplainingEffect(effect, free),), 1.0, 0.5)
 
 
 DAMPING = explained(Standing.FOUND, JointDamping("shoulder", 0.6), damping=(0.2, 0.2))
