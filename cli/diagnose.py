@@ -48,6 +48,7 @@ from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
+from idapt_pl.report.explanation_section import probability_sentences
 from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.report.law_section import law_sentences
 from idapt_pl.run import Run
@@ -234,8 +235,9 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
 
 
 def more_sentences(result: DiagnosisResult) -> list[str]:
-    """What changes, and laws for what no effect explains."""
-    return [*change_sentences(result.changes), *law_sentences(result.laws)]
+    """How probable it is, what changes, and laws for what no effect explains."""
+    told = probability_sentences(result.explanations)
+    return [*told, *change_sentences(result.changes), *law_sentences(result.laws)]
 
 
 def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:

@@ -12,7 +12,7 @@ from idapt_pl.diagnosis.recent import RecentArrays
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.runtime import Command, CommandEffect
 
-KEPT_BYTES = 2**25
+KEPT_COMMANDS = 2**25
 
 
 class HeldCommands:
@@ -28,7 +28,7 @@ class HeldCommands:
 
     def __init__(self, model: mujoco.MjModel, data: Sequence[Recording]) -> None:
         self.model, self.data = model, data
-        self._kept = RecentArrays[np.ndarray](KEPT_BYTES)
+        self._kept = RecentArrays[np.ndarray](KEPT_COMMANDS)
 
     def averaged(self, effects: Sequence[Effect], windows: Windows, steps: int, h: float) -> np.ndarray:
         """Mean commands of each time step of length ``h``, (n, steps, nu); of ``effects`` those on commands count."""

@@ -17,7 +17,7 @@ from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.estimation.least_squares import robust_loss
 
 log = logging.getLogger(__name__)
-LEAST_GAIN, LEAST_OF_REST = 0.02, 0.1
+SHARE_BY_NUMERICS, OF_THE_REST = 0.02, 0.1
 """Shares of the loss, and of what of it is above the noise, that other numerics must take away."""
 NUMERICS_FLOOR = 1.05
 """Loss at which nothing is left for other numerics to gain."""
@@ -40,7 +40,7 @@ def retest_numerics(context: SearchContext, state: SearchState) -> SearchState:
     gain, error = paired_gain(now, after, held_out.windows.episode)
     level = float(now.mean())
     sure = gain - context.settings.sureness * error > 0
-    if not (sure and gain > max(0.03 * level, LEAST_OF_REST * max(level - 1.0, 0.0), 0.05)):
+    if not (sure and gain > max(0.03 * level, OF_THE_REST * max(level - 1.0, 0.0), 0.05)):
         return state
     log.info("numerics: %s leaves %.3g of %.3g", best.fixed[-1].to_dict()["parameters"], after.mean(), level)
     return refit_accepted(context, renew(context, best))
@@ -56,7 +56,7 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
     level = float(robust_loss(z).mean())
     if level < NUMERICS_FLOOR:
         return None
-    best, best_loss, asked = None, level, max(LEAST_GAIN, LEAST_OF_REST * (1 - 1 / level))
+    best, best_loss, asked = None, level, max(SHARE_BY_NUMERICS, OF_THE_REST * (1 - 1 / level))
     for effect in numerics_candidates(context.sim.model):
         if effect in state.fixed:
             continue
@@ -66,7 +66,7 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
             continue  # |z + moved|² < (1 - asked) |z|² takes a larger one
         x = refit_under(context, state, fixed)
         loss = float(context.loss(state.windows.screen, (*fixed, *effects_of(state.candidates, x))).mean())
-        if loss < (1 - LEAST_GAIN) * level and loss < 1.3 * best_loss:
+        if loss < (1 - SHARE_BY_NUMERICS) * level and loss < 1.3 * best_loss:
             best, best_loss = replace(state, fixed=fixed).with_estimates(x), min(loss, best_loss)
     return best
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-DRAWS = 2000
+BOOTSTRAP_DRAWS = 2000
 """Of the Bayesian bootstrap."""
 
 TEMPERATURE = 1.0
@@ -46,7 +46,7 @@ def probabilities(
     scores = -0.5 * rows * np.stack(list(losses)) / TEMPERATURE
     prior = -PER_PARAMETER * np.asarray(parameters) - RARE * np.asarray(rare)
     n = scores.shape[1]
-    draws = n * np.random.default_rng(seed).dirichlet(np.ones(n), DRAWS)
+    draws = n * np.random.default_rng(seed).dirichlet(np.ones(n), BOOTSTRAP_DRAWS)
     totals = draws @ (scores - scores[0]).T + prior
     weights = np.exp(totals - totals.max(1, keepdims=True))
     among = (weights / weights.sum(1, keepdims=True)).mean(0)

@@ -29,19 +29,19 @@ class RecentArrays(Generic[Kept]):
             self.found += 1
             return self._kept[key]
         self._kept[key] = made = make()
-        for array in parts(made):
+        for array in arrays_of(made):
             array.flags.writeable = False
-        self.bytes += size(made)
+        self.bytes += bytes_of(made)
         while self.bytes > self.most_bytes and len(self._kept) > 1:
-            self.bytes -= size(self._kept.popitem(last=False)[1])
+            self.bytes -= bytes_of(self._kept.popitem(last=False)[1])
         return made
 
 
-def parts(kept: np.ndarray | tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+def arrays_of(kept: np.ndarray | tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """One array or several as several."""
     return kept if isinstance(kept, tuple) else (kept,)
 
 
-def size(kept: np.ndarray | tuple[np.ndarray, ...]) -> int:
+def bytes_of(kept: np.ndarray | tuple[np.ndarray, ...]) -> int:
     """Bytes."""
-    return sum(a.nbytes for a in parts(kept))
+    return sum(a.nbytes for a in arrays_of(kept))

@@ -24,7 +24,7 @@ from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, proje
 DERIVATIVE_STEP = 0.05
 """How slightly: share of a candidate's scale."""
 
-MUCH_THE_SAME = 0.02
+SAME_AT_FIRST_LOOK = 0.02
 """Share of what is left (squared) that a coarser time step may change in it."""
 
 LONGEST_LINEAR_STEP = 10.0
@@ -61,7 +61,7 @@ def first_look_step(context: SearchContext, state: SearchState) -> float:
     split, longest = state.windows.scout, context.sim.control_period / 4
     now = context.whitened(split, state.effects)
     coarse = context.whitened(split, context.with_coarse_numerics(state.effects, longest))
-    same = np.square(coarse - now).sum() < MUCH_THE_SAME * np.square(now).sum()
+    same = np.square(coarse - now).sum() < SAME_AT_FIRST_LOOK * np.square(now).sum()
     return longest if same else float(context.sim.model.opt.timestep)
 
 

@@ -18,7 +18,7 @@ from idapt_pl.diagnosis.whitening import (
     whitener,
 )
 
-MUCH_THE_SAME = 0.25
+SAME_SENSITIVITIES = 0.25
 """Share of what is left (squared) by which predictions may move before sensitivities are measured again."""
 
 SECONDS_PER_STEP = 1e-5
@@ -127,7 +127,7 @@ def still_hold(
     if known.structure == structure or known.structure.fixed != structure.fixed:
         return known.structure == structure
     W = whitener(known.at_fit, noise, context.sim.compared)
-    return moved_little(W, known.residual, context.sim.residual(effects, known.fit), MUCH_THE_SAME)
+    return moved_little(W, known.residual, context.sim.residual(effects, known.fit), SAME_SENSITIVITIES)
 
 
 def cut_windows_for(context: SearchContext, fixed: Effects, episodes: np.ndarray, limit: int, seed: int) -> Windows:

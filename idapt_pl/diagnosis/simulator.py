@@ -36,7 +36,7 @@ COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtS
 SETTLING_SAMPLES = 8
 """Samples before a window from which it is found out where in their play joints are."""
 
-KEPT_BYTES = 2**27
+KEPT_PREDICTIONS = 2**27
 """Of predictions: those of a round of the search, of which many are asked for again in the next."""
 
 FORCE_HOLD = 1e-3
@@ -97,7 +97,10 @@ class Simulator:
     def _record(self, data: list[Recording]) -> None:
         """Recordings, and what is kept of them."""
         self.data, self.commands = data, HeldCommands(self.model, data)
-        self._samples, self._predictions = RecentArrays[np.ndarray](KEPT_BYTES), RecentArrays[Motion](KEPT_BYTES)
+        self._samples, self._predictions = (
+            RecentArrays[np.ndarray](KEPT_PREDICTIONS),
+            RecentArrays[Motion](KEPT_PREDICTIONS),
+        )
 
     @property
     def channels(self) -> list[str]:

@@ -16,6 +16,7 @@ from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
 from idapt_pl.report.change_section import change_section
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
+from idapt_pl.report.explanation_section import explanation_section
 from idapt_pl.report.html import document, paragraph, row, section, table
 from idapt_pl.report.law_section import law_section
 from idapt_pl.report.minute_section import minute_section
@@ -55,6 +56,7 @@ def diagnosis_page(
         minute_section(result, diagnosis.sim, warnings),
         *notes,
         effects_section(result, model),
+        explanation_section(result.explanations),
         settings,
         next_steps_section(result.effects, result.next_experiment),
         change_section(result.changes),
