@@ -6,22 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-BOOTSTRAP_DRAWS = 2000
+RESAMPLINGS = 2000
 """Of the Bayesian bootstrap."""
 
-TEMPERATURE = 1.0
+TEMPERATURE = 2.0
 """Windows count as so many times fewer: what is wrong with the noise's model is wrong in all of them."""
 
-PER_PARAMETER = 1.0
+PER_PARAMETER = 0.5
 """Nats by which an explanation is less probable beforehand for each further parameter."""
 
-RARE = 2.0
+RARE = 1.5
 """The same for each effect that is rare on machines (:data:`~idapt_pl.effects.plausible.RARITY`)."""
 
-HALF_UNEXPLAINED = 0.6
+HALF_UNEXPLAINED = 1.0
 """Held-out loss above the noise at which it is as probable as not that something else is missing."""
 
-NEVER_SURE = 0.02
+NEVER_SURE = 0.05
 """Probability of something else where nothing is left to explain."""
 
 
@@ -46,7 +46,7 @@ def probabilities(
     scores = -0.5 * rows * np.stack(list(losses)) / TEMPERATURE
     prior = -PER_PARAMETER * np.asarray(parameters) - RARE * np.asarray(rare)
     n = scores.shape[1]
-    draws = n * np.random.default_rng(seed).dirichlet(np.ones(n), BOOTSTRAP_DRAWS)
+    draws = n * np.random.default_rng(seed).dirichlet(np.ones(n), RESAMPLINGS)
     totals = draws @ (scores - scores[0]).T + prior
     weights = np.exp(totals - totals.max(1, keepdims=True))
     among = (weights / weights.sum(1, keepdims=True)).mean(0)
