@@ -35,7 +35,12 @@ class LawCandidate(Candidate):
     @property
     def known(self) -> bool:
         """Whether the library has such an effect, which was tried and refused before."""
-        return len(self.terms) == 1 and self.terms[0].text in OF_THE_LIBRARY
+        return len(self.terms) == 1 and self.of_known_parts
+
+    @property
+    def of_known_parts(self) -> bool:
+        """Whether the library has all of its terms."""
+        return all(t.text in OF_THE_LIBRARY for t in self.terms)
 
     def units(self) -> list[str]:
         return [unit for term in self.terms for unit in term_units(term, self.hinge)]

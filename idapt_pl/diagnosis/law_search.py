@@ -86,6 +86,7 @@ class LawSearch:
         places: where the residual lived before.
         sensor: the joint whose sensor is to blame, if one is.
         network: joint, inputs and share of the removable error of what stands in for a law.
+        hint: the first law, if it is made of effects of the library.
     """
 
     state: SearchState
@@ -94,6 +95,7 @@ class LawSearch:
     places: Sequence[ResidualPlace] = ()
     sensor: str = ""
     network: tuple[str, tuple[str, ...], float] | None = None
+    hint: LawCandidate | None = None
 
     @property
     def laws(self) -> list[AcceptedEffect]:
@@ -123,16 +125,18 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
     places = residual_places(context, state, forecasts)
     if sensor := blamed_sensor(places):
         return LawSearch(state, state, {}, places, sensor.joint)
-    before, others = state, dict[str, list[FittedLaw]]()
+    before, others, hint = state, dict[str, list[FittedLaw]](), None
     for k in range(MOST_LAWS):
         context.progress(f"looking for a law {k + 1}", 0.92 + 0.01 * k)
         found = one_law(context, state, forecasts if k == 0 else joint_forecasts(context, state))
         if found is None:
             break
         law = laws_of(found[0])[-1].candidate
-        if isinstance(law, LawCandidate) and law.known:
+        assert isinstance(law, LawCandidate), "it was found last"
+        hint = law if k == 0 and law.of_known_parts else hint
+        if law.known:
             log.info("what is left looks like %s, which was refused as an effect", law.label)
-            return LawSearch(state, before, others, places)
+            return LawSearch(state, before, others, places, hint=hint)
         state, others[laws_of(found[0])[-1].candidate.label] = found
         state = retest_numerics(context, refit_accepted(context, renew(context, state)))
         if not explains_too_little(context, state):
@@ -140,7 +144,7 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
     if laws_of(state):
         state = eliminate_needless(context, state)
     if laws_of(state):
-        return LawSearch(state, before, others, places)
+        return LawSearch(state, before, others, places, hint=hint)
     return with_network(context, LawSearch(before, before, others, places), forecasts)
 
 

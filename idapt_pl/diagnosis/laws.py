@@ -1,14 +1,13 @@
-"""Laws behind a diagnosis: where much stays unexplained, look for one, and put it into the result."""
+"""Laws behind a diagnosis, put into its result."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_result import report_laws
-from idapt_pl.diagnosis.law_search import laws_of, search_laws
+from idapt_pl.diagnosis.law_search import LawSearch, laws_of
 from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.search_state import SearchState
@@ -17,16 +16,13 @@ from idapt_pl.diagnosis.trial import Trial
 
 
 def add_laws(
-    context: SearchContext, state: SearchState, trials: Sequence[Trial], result: DiagnosisResult
+    context: SearchContext, search: LawSearch, trials: Sequence[Trial], result: DiagnosisResult, seconds: float
 ) -> tuple[SearchState, DiagnosisResult]:
-    """The state and the result with laws, where there are any.
+    """The state and the result with laws, where there are any; ``seconds`` that the search for them took.
 
     The verdict stays what it was, or becomes that no *known* effect explains the recordings where none of them is left.
     """
-    started = time.perf_counter()
-    search = search_laws(context, state)
-    if search is None:
-        return state, result
+    state = search.state
     if search.state is not search.before:
         state = measure_intervals(context, search.state)
         search = replace(search, state=state)
@@ -34,4 +30,4 @@ def add_laws(
         enough = result.verdict is Verdict.EFFECTS_FOUND and len(state.accepted) > len(laws_of(state))
         verdict = result.verdict if enough else Verdict.UNEXPLAINED_RESIDUAL
         result = replace(found, verdict=verdict, next_experiment=result.next_experiment)
-    return state, replace(result, laws=report_laws(context, search, time.perf_counter() - started))
+    return state, replace(result, laws=report_laws(context, search, seconds))

@@ -14,7 +14,9 @@ from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.last_resort import try_implausible
+from idapt_pl.diagnosis.law_search import search_laws
 from idapt_pl.diagnosis.laws import add_laws
+from idapt_pl.diagnosis.library_words import explained_by_library
 from idapt_pl.diagnosis.look_ahead import add_two
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.numerics import retest_numerics
@@ -115,23 +117,38 @@ def diagnose(
     context, state = begin_search(
         model, trajectories, declared, fit, hold_out, candidates, seed, settings, progress, threads, unmeasured, noise
     )
-    state, trials = run_search(context, state)
-    progress("judging", 0.95)
-    changes, state = find_changes(context, state)
-    result = replace(summarise_search(context, state, trials), changes=changes)
-    held_out = state.windows.held_out.windows
-    found = Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
+    found = judge(context, run_search(context, state))
     if laws:
         found = with_laws(found)
     progress("done", 1.0)
     return replace(found, result=replace(found.result, runtime_s=round(time.perf_counter() - started, 2)))
 
 
-def with_laws(found: Diagnosis) -> Diagnosis:
-    """A diagnosis with laws of force, where much stays unexplained that no change over the recordings explains."""
-    if changes_over_recordings(found.result.changes):
+def judge(context: SearchContext, progress: Progression) -> Diagnosis:
+    """What a search came to: do effects change, and how good is the repaired model?"""
+    state, trials = progress
+    context.progress("judging", 0.95)
+    changes, state = find_changes(context, state)
+    result = replace(summarise_search(context, state, trials), changes=changes)
+    held_out = state.windows.held_out.windows
+    return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
+
+
+def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
+    """A diagnosis with laws of force, where much stays unexplained that no change over the recordings explains.
+
+    Where the first law is made of effects of the library, the search goes on with these (once) before there are laws.
+    """
+    context, started = found.context, time.perf_counter()
+    search = None if changes_over_recordings(found.result.changes) else search_laws(context, found.state)
+    if search is None:
         return found
-    state, result = add_laws(found.context, found.state, found.trials, found.result)
+    other = explained_by_library(context, found.state, search.hint) if search.hint and not again else None
+    if other is not None:
+        state, trials = select_and_revise(context, (other, found.trials))
+        return with_laws(judge(context, (keep_sure(context, state), trials)), again=True)
+    seconds = time.perf_counter() - started
+    state, result = add_laws(context, search, found.trials, found.result, seconds)
     result = replace(result, changes=found.result.changes, runtime_s=found.result.runtime_s)
     held_out = state.windows.held_out.windows
     return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
