@@ -66,11 +66,12 @@ def remembered(acting: ActingForces, data: Sequence[Recording]) -> np.ndarray:
     all_samples = MotionNow(q, v, u, np.zeros((rows, acting.model.na)), time.ravel())
     every = [joint_signals(acting.model, j, all_samples, None, None) for _, j in acting.pairs]
     seen = [{name: x.reshape(len(data), samples) for name, x in signals.items()} for signals in every]
+    before: list[JointSignals] = [{name: x[:, :-1] for name, x in signals.items()} for signals in seen]
+    now: list[JointSignals] = [{name: x[:, 1:] for name, x in signals.items()} for signals in seen]
+    # what laws remember after a step is linear in what they remembered before: kept · before + new
     out = np.zeros((len(data), samples, acting.memories))
-    before: list[JointSignals] = []
-    for k in range(samples):
-        now: list[JointSignals] = [{name: x[:, k] for name, x in signals.items()} for signals in seen]
-        if k:
-            out[:, k] = acting.remember(before, now, out[:, k - 1], time[:, k] - time[:, k - 1])
-        before = now
+    new = acting.remember(before, now, np.zeros_like(out[:, 1:]), np.diff(time))
+    kept = acting.remember(before, now, np.ones_like(out[:, 1:]), np.diff(time)) - new
+    for k in range(samples - 1):
+        out[:, k + 1] = kept[:, k] * out[:, k] + new[:, k]
     return out
