@@ -13,8 +13,8 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_candidate import LawCandidate
 from idapt_pl.diagnosis.revision import eliminate_needless
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
-from idapt_pl.effects.base import ACTUATED
-from idapt_pl.effects.candidate import Candidate, actuated_dofs, scalar_joints
+from idapt_pl.diagnosis.taking_apart import taken_apart
+from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
@@ -59,16 +59,6 @@ def explained_by_library(context: SearchContext, state: SearchState, law: LawCan
         return None
     log.info("%s in words of the library: %.3g, %.3g before", law.label, after.mean(), now.mean())
     return refit_accepted(context, renew(context, other))
-
-
-def taken_apart(context: SearchContext, c: Candidate) -> list[Candidate]:
-    """The same effect on each that a shared one acts on; nothing where it is not shared."""
-    if c.target not in ("*", ACTUATED):
-        return []
-    model = context.sim.model
-    driven = {name for _, v, name in scalar_joints(model) if v in actuated_dofs(model)}
-    parts = [x for x in context.candidates if x.kind is c.kind and x.names == c.names]
-    return [x for x in parts if x.target not in ("*", ACTUATED) and (c.target == "*" or x.target in driven)]
 
 
 def motors_of(model: mujoco.MjModel, joint: str) -> list[str]:

@@ -35,6 +35,7 @@ from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.summary import summarise_search
+from idapt_pl.diagnosis.taking_apart import single_for_shared
 from idapt_pl.diagnosis.trial import RejectionReason, Trial
 from idapt_pl.effects.base import Effect
 from idapt_pl.estimation.stepwise import forward_selection
@@ -169,7 +170,7 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     if other is not None:  # what was found in its shadow may be needless now, and more may show
         state = eliminate_needless(context, retest_numerics(context, other))
         state, trials = select_and_revise(context, (state, trials))
-    return keep_sure(context, one_gain_for_many(context, state)), trials
+    return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state))), trials
 
 
 def select_and_revise(context: SearchContext, progress: Progression) -> Progression:

@@ -9,9 +9,10 @@ from arm import ARM, record
 
 from idapt_pl.diagnosis.law_candidate import law_candidate
 from idapt_pl.diagnosis.law_terms import OF_THE_LIBRARY, JointSizes, dictionary
-from idapt_pl.diagnosis.library_words import SAME_IN_LIBRARY, explained_by_library, motors_of, taken_apart
+from idapt_pl.diagnosis.library_words import SAME_IN_LIBRARY, explained_by_library, motors_of
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search_state import AcceptedEffect, refit_accepted
+from idapt_pl.diagnosis.taking_apart import single_for_shared, taken_apart
 from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.joints import JointDamping
 
@@ -73,3 +74,14 @@ def test_parts_and_motors_of_joints(search):
     assert [c.target for c in taken_apart(context, state.candidates[0])] == ["shoulder", "elbow"]
     assert taken_apart(context, next(c for c in context.candidates if c.target == "elbow")) == []
     assert motors_of(context.sim.model, "elbow") == ["e"]
+
+
+def test_a_shared_gain_and_its_opposite_on_one_motor_are_a_gain_of_the_other():
+    weak = NOMINAL.replace('joint="shoulder"/>', 'joint="shoulder" gear="0.7"/>')
+    context, state = begin_search(mujoco.MjSpec.from_string(NOMINAL), record(weak), threads=1)
+    both, elbow = (next(c for c in context.candidates if c.label == f"actuator_gain({t})") for t in ("*", "e"))
+    found = (AcceptedEffect(0, both, np.array([0.7])), AcceptedEffect(1, elbow, np.array([1 / 0.7])))
+    state = refit_accepted(context, replace(state, accepted=found))
+    assert labels(single_for_shared(context, state)) == ["actuator_gain(s)"]
+    alone = replace(state, accepted=found[:1])
+    assert single_for_shared(context, alone) is alone, "a shared one alone is not taken apart"
