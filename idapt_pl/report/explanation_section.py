@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from idapt_pl.diagnosis.explanation import Explanation, Standing
-from idapt_pl.effects.wording import format_number, listing, phrase_at
+from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, row, section, table
 
 LEAST = 0.005
@@ -52,10 +52,15 @@ def account(e: Explanation, found: Explanation) -> str:
     """An explanation by what it has in the place of what was found."""
     phrases = [phrase_at(x.effect.name, x.effect.target) for x in e.effects]
     if e is found:
-        return f"what was found: {listing(phrases)}"
+        return f"what was found: {all_of(phrases)}"
     before = [phrase_at(x.effect.name, x.effect.target) for x in found.effects]
     new, gone = [p for p in phrases if p not in before], [p for p in before if p not in phrases]
-    return f"{listing(new)} in place of {listing(gone)}" if new and gone else listing(phrases)
+    return f"{all_of(new)} in place of {all_of(gone)}" if new and gone else all_of(phrases)
+
+
+def all_of(phrases: Sequence[str]) -> str:
+    """As in "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(phrases[:-1]), phrases[-1]]))
 
 
 def as_number(share: float) -> str:
