@@ -65,7 +65,7 @@ class ResponsesNow:
 
     def __init__(self, all_of_them: Responses, split: WhitenedWindows, now: Base, any_model: bool) -> None:
         self.all_of_them, self.split, self.now, self.any_model = all_of_them, split, now, any_model
-        self._near: dict[int, bool] = {id(now): True}
+        self._near: dict[Base, bool] = {now: True}
 
     def get(self, key: Hashable, simulate: Callable[[], np.ndarray]) -> np.ndarray:
         """A whitened response, (n, rows): an earlier one if it still counts, else one simulated now."""
@@ -79,8 +79,8 @@ class ResponsesNow:
 
     def counts(self, base: Base) -> bool:
         """Whether the model's predictions are still near those of an earlier one."""
-        if id(base) not in self._near:
-            self._near[id(base)] = base.windows == self.now.windows and (
+        if base not in self._near:
+            self._near[base] = base.windows == self.now.windows and (
                 self.any_model or moved_little(self.split.W, base.residual, self.now.residual)
             )
-        return self._near[id(base)]
+        return self._near[base]

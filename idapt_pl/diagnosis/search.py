@@ -147,7 +147,7 @@ def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
     other = explained_by_library(context, found.state, search.hint) if search.hint and not again else None
     if other is not None:
         state, trials = select_and_revise(context, (other, found.trials))
-        return with_laws(judge(context, (keep_sure(context, state), trials)), again=True)
+        return with_laws(judge(context, (settle(context, state), trials)), again=True)
     seconds = time.perf_counter() - started
     state, result = add_laws(context, search, found.trials, found.result, seconds)
     result = replace(result, changes=found.result.changes, runtime_s=found.result.runtime_s)
@@ -165,12 +165,17 @@ Progression = tuple[SearchState, tuple[Trial, ...]]
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
     state, trials = select_and_revise(context, (retest_numerics(context, state), ()))
-    other, tried = try_implausible(context, state, next_round(trials))
+    other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
         state = eliminate_needless(context, retest_numerics(context, other))
         state, trials = select_and_revise(context, (state, trials))
-    return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state))), trials
+    return settle(context, state), trials
+
+
+def settle(context: SearchContext, state: SearchState) -> SearchState:
+    """The end of a search: fewer effects where they do as well, and those that are sure."""
+    return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state)))
 
 
 def select_and_revise(context: SearchContext, progress: Progression) -> Progression:
@@ -203,7 +208,7 @@ def add_effects(context: SearchContext, progress: Progression) -> Progression:
 
     def add_effect(before: Progression, taken: int) -> tuple[Progression, bool]:
         state, trials = before
-        number = next_round(trials)
+        number = next_round(trials, state)
         found, new = one_round(context, state, number)
         if found is None:
             found, more = add_two(context, state, new, lambda s, k: one_round(context, s, k), number + 1)
@@ -223,9 +228,9 @@ def as_accepted(t: Trial, found: SearchState | None) -> Trial:
     return replace(t, rejection=None) if taken else t
 
 
-def next_round(trials: Sequence[Trial]) -> int:
-    """The number of a round that comes after what was tried."""
-    return 1 + max((t.round for t in trials), default=-1)
+def next_round(trials: Sequence[Trial], state: SearchState) -> int:
+    """The number of a round that comes after what was tried and what is accepted, which need not have been tried."""
+    return 1 + max([-1, *(t.round for t in trials), *(a.round for a in state.accepted)])
 
 
 def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[SearchState | None, list[Trial]]:

@@ -36,8 +36,8 @@ COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtS
 SETTLING_SAMPLES = 8
 """Samples before a window from which it is found out where in their play joints are."""
 
-KEPT_PREDICTIONS = 2**27
-"""Of predictions: those of a round of the search, of which many are asked for again in the next."""
+KEPT_SAMPLES, KEPT_PREDICTIONS = 2**25, 2**27
+"""Bytes: of recorded samples, and of predictions, of which many are asked for again in the next round of a search."""
 
 FORCE_HOLD = 1e-3
 """Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
@@ -97,10 +97,8 @@ class Simulator:
     def _record(self, data: list[Recording]) -> None:
         """Recordings, and what is kept of them."""
         self.data, self.commands = data, HeldCommands(self.model, data)
-        self._samples, self._predictions = (
-            RecentArrays[np.ndarray](KEPT_PREDICTIONS),
-            RecentArrays[Motion](KEPT_PREDICTIONS),
-        )
+        self._samples = RecentArrays[np.ndarray](KEPT_SAMPLES)
+        self._predictions = RecentArrays[Motion](KEPT_PREDICTIONS)
 
     @property
     def channels(self) -> list[str]:

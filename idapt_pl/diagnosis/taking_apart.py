@@ -39,18 +39,13 @@ def single_for_shared(context: SearchContext, state: SearchState) -> SearchState
     A stronger motor on one of two joints may be found as stronger motors on both and a weaker one on the other.
     """
     for shared in state.accepted:
-        kind, names = shared.candidate.kind, shared.candidate.names
-        besides = [
-            a for a in state.accepted if a is not shared and (a.candidate.kind, a.candidate.names) == (kind, names)
-        ]
+        alike = [a for a in state.accepted if same_effect(a.candidate, shared.candidate)]
+        besides = [a for a in alike if a is not shared]
         parts = taken_apart(context, shared.candidate) if besides else []
         if not parts:
             continue
-        new, first = (
-            {c.label for c in parts} - {a.candidate.label for a in besides},
-            1 + max(a.round for a in state.accepted),
-        )
-        own = [AcceptedEffect(first + k, c, shared.x.copy()) for k, c in enumerate(parts) if c.label in new]
+        known, first = {a.candidate.label for a in besides}, 1 + max(a.round for a in state.accepted)
+        own = [AcceptedEffect(first + k, c, shared.x.copy()) for k, c in enumerate(parts) if c.label not in known]
         kept = [replace(a, x=together(a, shared)) if a in besides else a for a in state.accepted if a is not shared]
         other = eliminate_needless(context, refit_accepted(context, replace(state, accepted=(*kept, *own))))
         fewer = len(other.accepted) < len(state.accepted)

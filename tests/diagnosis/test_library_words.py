@@ -11,6 +11,7 @@ from idapt_pl.diagnosis.law_candidate import law_candidate
 from idapt_pl.diagnosis.law_terms import OF_THE_LIBRARY, JointSizes, dictionary
 from idapt_pl.diagnosis.library_words import SAME_IN_LIBRARY, explained_by_library, motors_of
 from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.search import next_round
 from idapt_pl.diagnosis.search_state import AcceptedEffect, refit_accepted
 from idapt_pl.diagnosis.taking_apart import single_for_shared, taken_apart
 from idapt_pl.effects.base import ACTUATED
@@ -85,3 +86,9 @@ def test_a_shared_gain_and_its_opposite_on_one_motor_are_a_gain_of_the_other():
     assert labels(single_for_shared(context, state)) == ["actuator_gain(s)"]
     alone = replace(state, accepted=found[:1])
     assert single_for_shared(context, alone) is alone, "a shared one alone is not taken apart"
+
+
+def test_rounds_that_follow_are_none_that_an_accepted_effect_has(search):
+    _, state = search
+    later = replace(state, accepted=(*state.accepted, replace(state.accepted[0], round=7)))
+    assert next_round((), later) == 8 and next_round((), replace(state, accepted=())) == 0
