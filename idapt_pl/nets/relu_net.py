@@ -1,12 +1,16 @@
 """A multilayer perceptron with ReLU as one step of autograd, on oneDNN's products where they are quicker.
 
 PyTorch multiplies float32 matrices with MKL, which on AMD's processors keeps to AVX2. Where they have AVX-512, oneDNN,
-which PyTorch brings along for convolutions, is nearly twice as quick. Where they have not, it is slower, as it spends
-some 30 µs more on every call, and the layers one by one on MKL are quickest. ``benchmarks/sac_speed.py`` measures it.
+which PyTorch brings along for convolutions, is nearly twice as quick. Elsewhere it is slower, as it spends some 30 µs
+more on every call: on Intel's processors, where MKL takes AVX-512 too, and where there is none. There the layers one by
+one on MKL are quickest. ``benchmarks/sac_speed.py`` measures it.
 """
 
 from __future__ import annotations
 
+import platform
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -28,9 +32,19 @@ def relu_net(net: nn.Sequential, x: Float[Tensor, "n i"], frozen: bool = False) 
     return ReLUNet.apply(x, frozen, *(p for layer in layers for p in (layer.weight, layer.bias)))
 
 
+@cache
 def onednn_is_quicker() -> bool:
     """Whether oneDNN multiplies with wider instructions than MKL may."""
-    return torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability() == "AVX512"
+    wide = torch.backends.mkldnn.is_available() and torch.backends.cpu.get_cpu_capability() == "AVX512"
+    return wide and not made_by_intel()
+
+
+def made_by_intel() -> bool:
+    """Whether MKL was written for this processor."""
+    try:
+        return "GenuineIntel" in Path("/proc/cpuinfo").read_text()
+    except OSError:  # not Linux
+        return "Intel" in platform.processor()
 
 
 def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, then: str = "none") -> Tensor:

@@ -44,11 +44,21 @@ def test_where_onednn_is_slower_the_layers_are_computed_one_by_one(monkeypatch):
     assert torch.equal(relu_net(net, x), net(x))
 
 
-@pytest.mark.parametrize(("available", "capability", "quicker"), [
-    (True, "AVX512", True), (True, "AVX2", False), (False, "AVX512", False),
+@pytest.mark.parametrize(("available", "capability", "intel", "quicker"), [
+    (True, "AVX512", False, True), (True, "AVX2", False, False), (False, "AVX512", False, False),
+    (True, "AVX512", True, False),
 ])  # fmt: skip
-def test_onednn_multiplies_where_its_instructions_are_wider(monkeypatch, available, capability, quicker):
+def test_onednn_multiplies_where_its_instructions_are_wider(monkeypatch, available, capability, intel, quicker):
     monkeypatch.undo()  # the fixture's
+    module.onednn_is_quicker.cache_clear()
+    monkeypatch.setattr(module, "made_by_intel", lambda: intel)
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: available)
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
     assert module.onednn_is_quicker() == quicker
+    module.onednn_is_quicker.cache_clear()
+
+
+def test_who_made_the_processor_is_read(monkeypatch):
+    kinds = iter(["vendor_id\t: GenuineIntel\n", "vendor_id\t: AuthenticAMD\n"])
+    monkeypatch.setattr(module.Path, "read_text", lambda path: next(kinds))
+    assert [module.made_by_intel(), module.made_by_intel()] == [True, False]
