@@ -87,6 +87,7 @@ class FreeCores(L.Callback):
 
     def look(self) -> None:
         """Set the threads for what comes now, by a short look at who else computes."""
+        torch.set_flush_denormal(True)  # as on import (idapt_pl/__init__.py); other libraries put it back
         if self.threads is None:
             self._use.others()
             time.sleep(FIRST_LOOK)

@@ -1,10 +1,24 @@
 """Numbers too small to matter take no time."""
 
+import subprocess
+import sys
+
 import torch
 
-import idapt_pl  # noqa: F401
+from idapt_pl.cores import FreeCores
 
 
-def test_what_is_too_small_to_matter_is_zero():
-    tiny = torch.full((4,), 1e-38)
-    assert torch.equal(tiny * 1e-3, torch.zeros(4))
+def product_of_small_numbers() -> float:
+    return float((torch.full((4,), 1e-38) * 1e-3).max())
+
+
+def test_what_is_too_small_to_matter_is_zero_in_training():
+    torch.set_flush_denormal(False)
+    assert product_of_small_numbers() > 0
+    FreeCores(1).look()
+    assert product_of_small_numbers() == 0
+
+
+def test_and_from_the_start():
+    code = "import idapt_pl, torch; print(float((torch.full((4,), 1e-38) * 1e-3).max()))"
+    assert float(subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, check=True).stdout) == 0

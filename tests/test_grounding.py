@@ -526,6 +526,7 @@ def test_a_run_killed_after_every_single_stage_ends_bitwise_like_the_uninterrupt
     assert ledger[0] == ledger[1]
 
 
+@pytest.mark.slow
 def test_a_run_whose_last_step_was_lost_repeats_it_bitwise(finished_run, tiny_args, tmp_path):
     run, last = tmp_path / "run", f"step_{STEPS:02d}"
     shutil.copytree(finished_run, run)

@@ -122,6 +122,7 @@ def test_an_ablation_runs_algorithm_1(preset, missing, tmp_path):
     assert missing is None or not list(tmp_path.glob(f"step_*/{missing}"))
 
 
+@pytest.mark.slow
 def test_policies_train_within_the_interval_of_what_was_found(tmp_path, monkeypatch):
     mass = {"nominal": 4.895, "estimate": 190.0, "ci95": [150.0, 240.0], "unit": "kg"}
     found = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 190.0}}
@@ -161,7 +162,7 @@ def test_backwards_data_want_a_task_with_a_direction(tmp_path, capsys):
     assert "has no direction" in capsys.readouterr().err and not (tmp_path / "run.json").exists()
 
 
-@pytest.mark.parametrize("preset", [slow("data_backwards"), "data_random_backwards_expert"])
+@pytest.mark.parametrize("preset", [slow("data_backwards"), slow("data_random_backwards_expert")])
 def test_the_cheetah_explores_backwards(preset, tmp_path):
     config = QUICK.with_stem("cheetah_quick")
     small = {"schedule__grounding_steps": 0, "teacher__steps": 0, "teacher__rehearse": 0, "teacher__adapt": 0,

@@ -25,6 +25,7 @@ def unmeasured(finished_run, tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_an_evaluation_in_another_process_is_the_same(unmeasured, finished_run):
     last = unmeasured / "step_02/evaluation.json"
     aside = OtherProcesses(unmeasured, 1)

@@ -115,6 +115,7 @@ def test_a_finished_run_s_ledger_is_what_its_files_hold(finished_run):
         assert evaluated[k] == result["target"]["interactions"] + VIDEO_STEPS
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_its_video_and_its_evaluation_makes_both_and_counts_once(
     finished_run, tmp_path, monkeypatch
 ):

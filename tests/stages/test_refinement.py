@@ -80,6 +80,7 @@ def test_what_is_missing_is_found_from_known_starts_and_nothing_where_nothing_is
     assert none["effects"] == []
 
 
+@pytest.mark.slow
 def test_what_helps_in_the_control_too_makes_up_for_the_sensor(errors):
     assert search_from_known_starts(CANDIDATES, errors, errors).to_dict()["effects"] == []
 

@@ -193,6 +193,7 @@ def decide(worlds, tmp_path):
     return decide
 
 
+@pytest.mark.slow
 def test_sabotaged_action_transformations_are_rolled_back(decide):
     for sabotaged in (make_F(gain=-0.5), make_F(gain=0.5, bias=0.5)):
         result = decide(sabotaged, make_F(gain=0.5))
@@ -200,6 +201,7 @@ def test_sabotaged_action_transformations_are_rolled_back(decide):
         assert "rolled back" in result.sentence
 
 
+@pytest.mark.slow
 def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
     same = decide(make_F(), None)
     assert not same.rolled_back and same.worse_by == 0 and same.ci95[0] < 0 < same.ci95[1]
@@ -252,6 +254,7 @@ def test_the_code_that_selects_names_no_reward_no_state_and_no_evaluation(name):
 # --- in Algorithm 1 -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repeats_the_decision(
     tiny_args, finished_run, tmp_path, monkeypatch
 ):
