@@ -21,4 +21,5 @@ def test_what_is_too_small_to_matter_is_zero_in_training():
 
 def test_and_from_the_start():
     code = "import idapt_pl, torch; print(float((torch.full((4,), 1e-38) * 1e-3).max()))"
-    assert float(subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, check=True).stdout) == 0
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, check=True)
+    assert float(done.stdout) == 0

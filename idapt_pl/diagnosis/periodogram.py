@@ -44,8 +44,12 @@ class TorquePulse(ForceEffect):
     __eq__, __hash__ = object.__eq__, object.__hash__
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
-        now = (time > self.begin - 1e-9) & (time < self.end - 1e-9)
-        return np.broadcast_to(self.torque * now[:, None], qpos.shape)
+        return np.broadcast_to(self.at(time[:, None]), qpos.shape)
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """The torque at times of each window, (n, k)."""
+        now = (time > self.begin[:, None] - 1e-9) & (time < self.end[:, None] - 1e-9)
+        return self.torque * now
 
 
 def periodic_starts(

@@ -9,6 +9,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import parameter_box
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.force_look import MANY, acts_as_force, has_play, responses_by_forces, worth_simulating
 from idapt_pl.diagnosis.periodogram import periodic_starts
 from idapt_pl.diagnosis.responses import Responses
 from idapt_pl.diagnosis.search_state import SearchState
@@ -46,14 +47,29 @@ def screen_candidates(
     scout = ScoreTest(context, state, state.windows.scout, step, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
     considered = [c for c in context.candidates if (c.label, c.names) not in known]
+    others: list[Trial] = []
+    if len(considered) > MANY and not has_play(state):
+        considered, others = first_by_forces(context, state, considered, round)
     trials = [scout.score(c, starts_of(context, scout, state.windows.scout, c), round) for c in considered]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
     screen = ScoreTest(context, state, state.windows.screen)
     best = [screen.score(t.candidate, t.x, round) for t in best]
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
+    rest = sorted([*rest, *others], key=penalised_score, reverse=True)
     rest = [replace(t, score=t.score * ratio) for t in rest]
     return sorted(best, key=penalised_score, reverse=True) + rest
+
+
+def first_by_forces(
+    context: SearchContext, state: SearchState, candidates: Sequence[Candidate], round: int
+) -> tuple[list[Candidate], list[Trial]]:
+    """Those of many candidates that are worth simulating, and trials of the others, with rough scores."""
+    split = state.windows.scout
+    test = ScoreTest(context, state, split, respond=responses_by_forces(context, state, split))
+    rough = {c: test.score(c, starts_of(context, test, split, c), round) for c in candidates if acts_as_force(c)}
+    kept = worth_simulating(candidates, lambda c: penalised_score(rough[c]))
+    return kept, [t for c, t in rough.items() if c not in kept]
 
 
 def first_look_step(context: SearchContext, state: SearchState) -> float:
@@ -99,13 +115,14 @@ class ScoreTest:
         split: windows to score on.
         step: time step of a first look, which takes what candidates change as it was last simulated, if it was.
         any_model: and if that was under whatever model.
+        respond: what an effect changes in whitened residuals, (n, rows); default is to simulate it.
     """
 
     def __init__(
         self, context: SearchContext, state: SearchState, split: WhitenedWindows, step: float | None = None,
-        any_model: bool = False,
+        any_model: bool = False, respond: Callable[[Effect], np.ndarray] | None = None,
     ) -> None:  # fmt: skip
-        self.settings, self.state, self.split = context.settings, state, split
+        self.settings, self.state, self.split, self.respond = context.settings, state, split, respond
         self.residual: Callable[[Effects], np.ndarray] = lambda e: context.sim.residual(
             context.with_coarse_numerics(e, step) if step else e, split.windows
         )
@@ -129,11 +146,15 @@ class ScoreTest:
 
     def change_now(self, effect: Effect) -> np.ndarray:
         """The same, simulated under this very model."""
+        if self.respond is not None:
+            return self.change(effect)
         z = whiten(self.split.W, self.residual((*self.state.effects, effect)) - self.base)
         return self.clear(z.reshape(-1, 1))[:, 0]
 
     def response(self, effect: Effect) -> np.ndarray:
         """What an effect changes in the whitened residual on top of the current model, (rows,)."""
+        if self.respond is not None:
+            return self.respond(effect).ravel()
         effects = (*self.state.effects, effect)
         return self.responses.get(effect, lambda: self.residual(effects) - self.base).ravel()
 

@@ -163,13 +163,7 @@ class Simulator:
     ) -> Motion:
         self.calls += 1
         model, data = self._ready(effects)
-        qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
-        if nudge is not None:
-            nv = self.model.nv
-            qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
-        sensing = [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
-        for effect, joints in reversed(sensing):
-            qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
+        qpos, qvel = self._start(effects, windows, nudge)
         times = self._times(windows)
         ends = times[:, windows.offsets] - times[:, :1]
         steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
@@ -180,9 +174,80 @@ class Simulator:
             first = play.expand(qpos, qvel, loose)
             states = self._roll(model, data, effects, times[:, 0], *first, controls, windows, push)
         qpos, qvel = play.contract(*interpolate_states(model, states, ends))
-        for effect, joints in sensing:
+        for effect, joints in self._sensing(effects):
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
+
+    def mean_states(self, effects: Effects, windows: Windows) -> np.ndarray:
+        """Mean state in the control step in which windows begin, (n, size); rotations in the middle of it.
+
+        Of models without play in joints.
+        """
+        model, data = self._ready(effects)
+        steps = max(1, round(self.control_period / model.opt.timestep))
+        controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
+        with silence_mujoco():
+            times = self._times(windows)[:, 0]
+            states = self._roll(model, data, effects, times, *self._start(effects, windows), controls, windows)
+        mean = states.mean(1)
+        for adr, kind in zip(model.jnt_qposadr, model.jnt_type, strict=True):
+            turning = 1 + adr + np.arange({0: 7, 1: 4}.get(int(kind), 0))
+            mean[:, turning] = states[:, (steps + 1) // 2][:, turning]
+        return mean
+
+    def inverse_dynamics(
+        self, effects: Effects, windows: Windows, states: np.ndarray, qacc: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Generalised forces that a model would need besides its own to accelerate so, (n, nv), and ``qacc``.
+
+        Contacts and friction are as they would be under these accelerations.
+
+        Args:
+            effects: the model's, without play in joints.
+            windows: n of them: commands are the mean of what arrives in the control step in which they begin.
+            states: as of :meth:`mean_states`.
+            qacc: (n, nv); default is what the model does by itself.
+        """
+        model, (data, *_) = self._ready(effects)
+        controls = self.commands.averaged(effects, windows, 1, self.control_period)[:, 0]
+        forces = [e for e in effects if isinstance(e, ForceEffect)]
+        applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states)
+        if forces:
+            applied[:, : model.nv] += LawsInWindows(model, self.model, forces, self.data, windows).forces(
+                states, controls
+            )
+        lacking, found = np.zeros((len(states), model.nv)), np.zeros((len(states), model.nv))
+        for i, state in enumerate(states):
+            mujoco.mj_setState(model, data, state, STATE)
+            data.ctrl[:], data.qfrc_applied[:] = controls[i], applied[i, : model.nv]
+            data.xfrc_applied[:] = applied[i, model.nv :].reshape(-1, 6)
+            if qacc is None:
+                mujoco.mj_forward(model, data)
+            else:
+                data.qacc[:] = qacc[i]
+            found[i] = data.qacc
+            mujoco.mj_inverse(model, data)
+            mujoco.mj_fwdActuation(model, data)
+            own = data.qfrc_actuator + data.qfrc_applied
+            for b in np.flatnonzero(data.xfrc_applied.any(1)):
+                wrench = data.xfrc_applied[b]
+                mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.xipos[b], b, own)
+            lacking[i] = data.qfrc_inverse - own
+        return lacking, found
+
+    def _start(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> Motion:
+        """True positions and velocities where windows begin, (n, nq) and (n, nv), as sensors with errors say."""
+        qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
+        if nudge is not None:
+            nv = self.model.nv
+            qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
+        for effect, joints in reversed(self._sensing(effects)):
+            qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
+        return qpos, qvel
+
+    def _sensing(self, effects: Effects) -> list[tuple[SensingEffect, list[int]]]:
+        """Errors of sensors, with the joints that they are of."""
+        return [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
 
     def _times(self, windows: Windows) -> np.ndarray:
         return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
