@@ -17,6 +17,7 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import show_bar
 from datamodules import Trajectories, read_trajectories, write_trajectories
+from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
@@ -56,6 +57,7 @@ def diagnose_recordings(
     if o.fix:
         model = one_mended_model(model, faults)
     data, sets = join_recordings(o.data, each)
+    data = more_than_one(data)
 
     with progress_bar() as progress:
 
@@ -81,6 +83,27 @@ def diagnose_recordings(
         Console().print(escape(sentence), soft_wrap=True, highlight=False)
     print_comparison(comparison)
     return diagnosis
+
+
+PARTS = 4
+"""That a single episode is cut into: three to fit, one to judge on."""
+
+
+def more_than_one(data: Trajectories) -> Trajectories:
+    """Recordings of several episodes; a single one is cut in time, and the user told where."""
+    if len(data) != 1 or len(data.episodes[0]) < 20 * PARTS:
+        return data
+    parts = cut_in_time(data, PARTS)
+    seconds = " s, ".join(f"{k} from {time_of(data, k * len(data.episodes[0]) // PARTS):.4g}" for k in range(PARTS))
+    text = f"one episode: cut in time into {PARTS}, as some must be held out: episode {seconds} s on"
+    Console().print(text, soft_wrap=True, highlight=False)
+    return parts
+
+
+def time_of(data: Trajectories, row: int) -> float:
+    """Of a row of the first episode, since that began, s."""
+    stamps = data.episodes[0].timestamps
+    return row * data.dt if stamps is None else float(stamps[row] - stamps[0])
 
 
 def ask_for_actuators(o: argparse.Namespace, model: mujoco.MjSpec, each: Sequence[Trajectories]) -> None:

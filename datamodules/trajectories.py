@@ -6,6 +6,7 @@ import hashlib
 import io
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
@@ -65,6 +66,21 @@ class Episode:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def part(self, first: int, last: int) -> Episode:
+        """Control steps ``first`` to before ``last``, with the observations before and after each of them."""
+        T = len(self)
+
+        def of_steps(a: np.ndarray | None) -> np.ndarray | None:
+            return None if a is None else a[first:last]
+
+        return Episode(
+            self.actions[first:last],
+            {name: a[first : last + 1] for name, a in self.observations.items()},
+            of_steps(self.rewards), of_steps(self.terminations), of_steps(self.truncations),
+            None if self.timestamps is None else self.timestamps[first : last + 1],
+            {n: a[first : last + (len(a) > T)] if len(a) in (T, T + 1) else a for n, a in self.infos.items()},
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Trajectories:
@@ -93,6 +109,15 @@ class Trajectories:
 
     def __add__(self, other: Trajectories) -> Trajectories:
         return Trajectories(self.episodes + other.episodes, self.dt, self.source)
+
+
+def cut_in_time(trajectories: Trajectories, parts: int) -> Trajectories:
+    """Each episode as so many of about equal length; they share the observation where they meet."""
+    episodes = []
+    for episode in trajectories:
+        edges = np.linspace(0, len(episode), parts + 1).round().astype(int)
+        episodes += [episode.part(a, b) for a, b in pairwise(edges)]
+    return Trajectories(tuple(episodes), trajectories.dt, trajectories.source)
 
 
 def content_hash(episodes: Iterable[Episode]) -> str:

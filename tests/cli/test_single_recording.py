@@ -1,0 +1,51 @@
+"""A single recording of a robot is enough for `idapt diagnose`: it is cut in time."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from cli.main import main
+from datamodules import Episode, Trajectories, write_trajectories
+from datamodules.trajectories import cut_in_time
+
+sys.path.insert(0, str(ROOT / "tests" / "report"))
+from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
+
+
+def test_parts_share_the_observation_where_they_meet():
+    time, marks = np.linspace(0, 1, 11), np.arange(10) > 6
+    episode = Episode(
+        np.arange(20, dtype=np.float32).reshape(10, 2), {"qpos": np.arange(11.0)[:, None]}, timestamps=time,
+        infos={"left_out": marks, "room": np.arange(11), "name": np.arange(3)},
+    )  # fmt: skip
+    parts = cut_in_time(Trajectories((episode,), 0.1), 3).episodes
+    assert [len(p) for p in parts] == [3, 4, 3]
+    assert np.array_equal(np.concatenate([p.actions for p in parts]), episode.actions)
+    assert [p.observations["qpos"][0, 0] for p in parts] == [0, 3, 7]
+    assert [p.observations["qpos"][-1, 0] for p in parts] == [3, 7, 10]
+    assert parts[1].timestamps == pytest.approx(time[3:8])
+    assert np.array_equal(np.concatenate([p.infos["left_out"] for p in parts]), marks)
+    assert [len(p.infos["room"]) for p in parts] == [4, 5, 4] and len(parts[2].infos["name"]) == 3
+
+
+def test_one_recording_is_diagnosed_and_the_user_told_where_it_was_cut(tmp_path, capsys):
+    (tmp_path / "m.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    write_trajectories(tmp_path / "one.h5", record(0.07, episodes=1, steps=200))
+    arguments = ["--model", tmp_path / "m.xml", "--data", tmp_path / "one.h5", "--out", tmp_path / "d"]
+    assert main(["diagnose", *map(str, arguments), "--candidates", "joint_damping", "--threads", "1"]) == 0
+    assert "one episode: cut in time into 4" in capsys.readouterr().out
+    report = json.loads((tmp_path / "d/report.json").read_text())
+    (found,) = report["effects"]
+    assert found["parameters"]["damping"]["estimate"] == pytest.approx(0.07, rel=0.1)
+    assert len(report["error"]["fit_episodes"]) == 3 and len(report["error"]["held_out_episodes"]) == 1
+
+
+def test_one_that_is_too_short_to_cut_says_that_more_are_needed(tmp_path, capsys):
+    (tmp_path / "m.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    write_trajectories(tmp_path / "one.h5", record(0.07, episodes=1, steps=30))
+    arguments = ["--model", tmp_path / "m.xml", "--data", tmp_path / "one.h5", "--out", tmp_path / "d"]
+    assert main(["diagnose", *map(str, arguments)]) == 1
+    assert "at least two are needed" in capsys.readouterr().err
