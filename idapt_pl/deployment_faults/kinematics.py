@@ -24,6 +24,10 @@ CLEAR = 0.9
 """Correlation from which on a velocity and a slope are taken to be the same motion."""
 
 
+OWN = 0.1
+"""By how much less of a velocity a joint's own slope may explain than another's, to be its partner nonetheless."""
+
+
 @dataclass(frozen=True)
 class Agreement:
     """How velocities go along with slopes of positions.
@@ -51,7 +55,8 @@ def compare_velocities(signals: list[Signals], joints: ScalarJoints, moving: lis
     correlation = np.stack([correlate(*every[s]) for s in lags])
     strength = np.abs(correlation)
     common = int(np.argmax(strength.max(1).sum(1)))
-    velocity, joint = linear_sum_assignment(-strength[common])
+    own = OWN * np.eye(len(moving))  # joints that move together go along with each other's velocities as well
+    velocity, joint = linear_sum_assignment(-np.square(strength[common]) - own)
     partner = np.empty(len(moving), int)
     partner[velocity] = joint
     late, ratio, clear = np.zeros(len(moving), int), np.ones(len(moving)), np.zeros(len(moving), bool)
