@@ -3,12 +3,13 @@
 To simulate every candidate takes a time that grows with the square of the joints: there are more of them, and each
 simulation takes longer. Most of them act as forces. Inverse dynamics reads these off the mean motion of each control
 step, and what a force does to a prediction is simulated once for every degree of freedom and control step. Windows are
-short, so that changes add up. Only the order matters here: the best are simulated.
+short, so that changes add up. Only the order matters: the best are simulated
+(:func:`~idapt_pl.diagnosis.screening.simulate_the_best`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -24,12 +25,6 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointBacklash
 from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorDelay
-
-MANY = 120
-"""Candidates above which the best are looked for in this way first."""
-
-SIMULATED = 40
-"""So many of them are simulated then."""
 
 TRIAL_FORCE = 3.0
 """Size of the trial forces, in units of what would stop a joint within a forecast.
@@ -72,15 +67,3 @@ def responses_by_forces(
         return np.einsum("nrvk,nkv->nr", response, forces.reshape(len(windows), steps, nv), optimize=True)
 
     return respond
-
-
-def worth_simulating(candidates: Sequence[Candidate], score: Callable[[Candidate], float]) -> list[Candidate]:
-    """All that do not act as forces, and the best of those that do; in their order.
-
-    Args:
-        candidates: to look at.
-        score: of one that acts as a force, the higher the better.
-    """
-    by_force = [c for c in candidates if acts_as_force(c)]
-    best = sorted(by_force, key=score, reverse=True)[:SIMULATED]
-    return [c for c in candidates if c in best or not acts_as_force(c)]

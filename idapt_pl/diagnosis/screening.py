@@ -9,7 +9,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import parameter_box
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.force_look import MANY, acts_as_force, has_play, responses_by_forces, worth_simulating
+from idapt_pl.diagnosis.force_look import acts_as_force, has_play, responses_by_forces
 from idapt_pl.diagnosis.periodogram import periodic_starts
 from idapt_pl.diagnosis.responses import Responses
 from idapt_pl.diagnosis.search_state import SearchState
@@ -27,6 +27,12 @@ DERIVATIVE_STEP = 0.05
 
 SAME_AT_FIRST_LOOK = 0.02
 """Share of what is left (squared) that a coarser time step may change in it."""
+
+MANY, SIMULATED, SAMPLED = 250, 40, 16
+"""Candidates above which they are ordered by forces first; of the best, and of the others, so many are simulated."""
+
+MISSED = 0.1
+"""Share of the best score that one of the others may have, if the order by forces is to be believed."""
 
 LONGEST_LINEAR_STEP = 10.0
 """Scales that the screen believes a linear prediction for."""
@@ -47,29 +53,40 @@ def screen_candidates(
     scout = ScoreTest(context, state, state.windows.scout, step, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
     considered = [c for c in context.candidates if (c.label, c.names) not in known]
-    others: list[Trial] = []
-    if len(considered) > MANY and not has_play(state):
-        considered, others = first_by_forces(context, state, considered, round)
-    trials = [scout.score(c, starts_of(context, scout, state.windows.scout, c), round) for c in considered]
+
+    def simulate(c: Candidate) -> Trial:
+        return scout.score(c, starts_of(context, scout, state.windows.scout, c), round)
+
+    many = len(considered) > MANY and not has_play(state)
+    trials = simulate_the_best(context, state, considered, simulate) if many else [*map(simulate, considered)]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
     screen = ScoreTest(context, state, state.windows.screen)
     best = [screen.score(t.candidate, t.x, round) for t in best]
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
-    rest = sorted([*rest, *others], key=penalised_score, reverse=True)
     rest = [replace(t, score=t.score * ratio) for t in rest]
     return sorted(best, key=penalised_score, reverse=True) + rest
 
 
-def first_by_forces(
-    context: SearchContext, state: SearchState, candidates: Sequence[Candidate], round: int
-) -> tuple[list[Candidate], list[Trial]]:
-    """Those of many candidates that are worth simulating, and trials of the others, with rough scores."""
+def simulate_the_best(
+    context: SearchContext, state: SearchState, candidates: Sequence[Candidate], simulate: Callable[[Candidate], Trial]
+) -> list[Trial]:
+    """Trials of many candidates: the best by forces are simulated, others have rough scores.
+
+    Some of the others are simulated too. Where one of these scores high, forces do not tell the order, as where feet
+    strike the ground, and all are simulated.
+    """
     split = state.windows.scout
     test = ScoreTest(context, state, split, respond=responses_by_forces(context, state, split))
-    rough = {c: test.score(c, starts_of(context, test, split, c), round) for c in candidates if acts_as_force(c)}
-    kept = worth_simulating(candidates, lambda c: penalised_score(rough[c]))
-    return kept, [t for c, t in rough.items() if c not in kept]
+    rough = {c: test.score(c, starts_of(context, test, split, c), 0) for c in candidates if acts_as_force(c)}
+    order = sorted(rough, key=lambda c: -penalised_score(rough[c]))
+    best, rest = order[:SIMULATED], order[SIMULATED:]
+    sample = rest[:: max(1, len(rest) // SAMPLED)]
+    trials = [simulate(c) for c in candidates if c in best or not acts_as_force(c)]
+    drawn = [simulate(c) for c in sample]
+    if max(t.score for t in drawn) > MISSED * max(t.score for t in trials):
+        return [*map(simulate, candidates)]
+    return [*trials, *drawn, *(replace(rough[c], round=trials[0].round) for c in rest if c not in sample)]
 
 
 def first_look_step(context: SearchContext, state: SearchState) -> float:

@@ -54,15 +54,28 @@ def test_the_best_of_many_are_simulated_and_the_rest_is_not(search, monkeypatch)
     context, state = search
     everything = screen_candidates(context, state, 0)
     monkeypatch.setattr(screening, "MANY", 0)
-    monkeypatch.setattr("idapt_pl.diagnosis.force_look.SIMULATED", 5)
+    monkeypatch.setattr(screening, "SIMULATED", 5)
+    monkeypatch.setattr(screening, "MISSED", 1.0)
     few = screen_candidates(context, state, 0)
     assert few[0].candidate == everything[0].candidate and few[0].score == pytest.approx(everything[0].score)
     assert {t.candidate for t in few} == {t.candidate for t in everything}, "each has a score, if a rough one"
 
 
+def test_where_the_order_misses_one_all_are_simulated(search, monkeypatch):
+    context, state = search
+    everything = screen_candidates(context, state, 0)
+    monkeypatch.setattr(screening, "MANY", 0)
+    monkeypatch.setattr(screening, "SIMULATED", 3)
+    monkeypatch.setattr(
+        screening, "responses_by_forces", lambda *a: lambda effect: np.zeros_like(state.windows.scout.W[..., 0])
+    )
+    again = screen_candidates(context, state, 0)
+    assert [(t.candidate, pytest.approx(t.score)) for t in again] == [(t.candidate, t.score) for t in everything]
+
+
 def test_a_hidden_gain_is_named_with_it(monkeypatch):
     monkeypatch.setattr(screening, "MANY", 0)
-    monkeypatch.setattr("idapt_pl.diagnosis.force_look.SIMULATED", 10)
+    monkeypatch.setattr(screening, "SIMULATED", 10)
     diagnosis, effects = found(record(GAIN))
     assert (diagnosis.verdict, set(effects)) == ("effects_found", {("actuator_gain", "s")})
 
