@@ -125,6 +125,7 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
+    p.add_argument("--quick", action="store_true", help="a first answer in about 20 s; it says what was not tried")
     p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
@@ -149,6 +150,8 @@ def main(args: list[str]) -> int:
         p.error("--looks compares images with what the source of a run shows: give --run")
     if o.fix and o.run is not None:
         p.error("--fix mends recordings of positions: give --model, not --run")
+    if o.quick and o.run is not None:
+        p.error("--quick is for recordings of positions: give --model")
     if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
         p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
@@ -237,6 +240,8 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
 def more_sentences(result: DiagnosisResult) -> list[str]:
     """How probable it is, what changes, and laws for what no effect explains."""
     told = probability_sentences(result.explanations)
+    if result.not_tried:
+        told.append(f"A quick look. Not tried: {', '.join(result.not_tried)}. For these run it without --quick.")
     return [*told, *change_sentences(result.changes), *law_sentences(result.laws)]
 
 

@@ -21,7 +21,7 @@ from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
 from idapt_pl.effects.base import Effect
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, write_diagnosis
@@ -59,18 +59,20 @@ def diagnose_recordings(
     data, sets = join_recordings(o.data, each)
     data = more_than_one(data)
 
+    settings = QUICK_SETTINGS if o.quick else DEFAULT_SETTINGS
+    settings = replace(settings, max_effects=min(o.max_effects, settings.max_effects))
+
     with progress_bar() as progress:
 
         def run(recordings: Trajectories) -> Diagnosis:
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
-                laws=False,
+                settings, progress, o.threads, laws=False,
             )  # fmt: skip
 
         try:
-            finish = (lambda found: found) if o.no_laws else with_laws  # a push must not be taken for a law
-            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not o.keep_all, finish)
+            finish = (lambda found: found) if o.no_laws or o.quick else with_laws  # a push must not be taken for a law
+            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not (o.keep_all or o.quick), finish)
             comparison = compare_sets(diagnosis, sets) if len(sets) > 1 else None
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -41,6 +42,7 @@ class SearchContext:
         settings: how hard to look.
         progress: told what is being done.
         responses: what candidates changed when they were last simulated on the scout windows.
+        started: when the search began, by the clock that only tells durations, s.
     """
 
     sim: Simulator
@@ -56,6 +58,12 @@ class SearchContext:
     settings: SearchSettings
     progress: Progress
     responses: Responses = field(default_factory=Responses)
+    started: float = field(default_factory=time.perf_counter)
+
+    @property
+    def hurried(self) -> bool:
+        """Whether only a quick look was asked for, and half of its time has passed."""
+        return not self.settings.thorough and time.perf_counter() - self.started > self.settings.seconds / 2
 
     @property
     def horizon(self) -> float:

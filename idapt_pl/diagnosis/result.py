@@ -278,6 +278,7 @@ class DiagnosisResult:
         measurement: how the recordings were measured.
         laws: what a search for laws came to; None where none was made.
         changes: whether effects stay the same throughout; None where that was not tested.
+        not_tried: what a quick look left out, in words.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -294,6 +295,7 @@ class DiagnosisResult:
     measurement: Measurement | None = None
     laws: LawReport | None = None
     changes: ChangeReport | None = None
+    not_tried: Sequence[str] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -309,5 +311,6 @@ class DiagnosisResult:
             "runtime_s": self.runtime_s,
             "explanations": [e.to_dict() for e in self.explanations],
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
+            **({"not_tried": list(self.not_tried)} if self.not_tried else {}),
             **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
         }

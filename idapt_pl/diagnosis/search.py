@@ -32,7 +32,7 @@ from idapt_pl.diagnosis.revision import (
 )
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, NOT_TRIED_QUICKLY, SearchSettings
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.summary import summarise_search
 from idapt_pl.diagnosis.taking_apart import single_for_shared
@@ -129,8 +129,11 @@ def judge(context: SearchContext, progress: Progression) -> Diagnosis:
     """What a search came to: do effects change, and how good is the repaired model?"""
     state, trials = progress
     context.progress("judging", 0.95)
-    changes, state = find_changes(context, state)
-    result = replace(summarise_search(context, state, trials), changes=changes)
+    if context.settings.thorough:
+        changes, state = find_changes(context, state)
+        result = replace(summarise_search(context, state, trials), changes=changes)
+    else:
+        result = replace(summarise_search(context, state, trials), not_tried=NOT_TRIED_QUICKLY)
     held_out = state.windows.held_out.windows
     return Diagnosis(result, state.effects, context.declared, context.sim, held_out, trials, context, state)
 
@@ -164,6 +167,9 @@ Progression = tuple[SearchState, tuple[Trial, ...]]
 
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
+    if not context.settings.thorough:
+        state, trials = add_effects(context, (retest_numerics(context, state), ()))
+        return keep_sure(context, eliminate_needless(context, state)), trials
     state, trials = select_and_revise(context, (retest_numerics(context, state), ()))
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
@@ -208,6 +214,8 @@ def add_effects(context: SearchContext, progress: Progression) -> Progression:
 
     def add_effect(before: Progression, taken: int) -> tuple[Progression, bool]:
         state, trials = before
+        if taken and context.hurried:
+            return before, False
         number = next_round(trials, state)
         found, new = one_round(context, state, number)
         if found is None:

@@ -27,6 +27,8 @@ class SearchSettings:
         plausible: judge causes as those of a real machine, measured on itself: what no machine has is named last, if at
             all, and what may as well be as the model has it, or makes longer replays worse, is left out. Another
             simulation may be anything, and readings of images are no measurements to replay.
+        thorough: reopen choices, try what is not plausible, test whether effects change. Else effects are added as long
+            as half of ``seconds`` has not passed.
     """
 
     max_effects: int = 8
@@ -44,6 +46,18 @@ class SearchSettings:
     seconds: float = 60.0
     numerics: bool = True
     plausible: bool = True
+    thorough: bool = True
 
 
 DEFAULT_SETTINGS = SearchSettings()
+QUICK_SETTINGS = SearchSettings(
+    max_effects=2, scout_windows=20, screened=8, screen_windows=40, confirm=4, refined=2, fit_windows=80,
+    held_out_windows=120, seconds=20.0, thorough=False,
+)  # fmt: skip
+"""For a first answer in about twenty seconds."""
+
+NOT_TRIED_QUICKLY = (
+    "more than two effects", "early choices once more", "causes that are not plausible",
+    "whether what is found changes over time", "stretches in which the model cannot hold", "laws of force",
+)  # fmt: skip
+"""What a quick look leaves out, in words."""

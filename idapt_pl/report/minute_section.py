@@ -47,6 +47,8 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
         ("How sure is it?", sureness_in_words(result, sim)),
         ("What to do now?", ACTIONS[result.verdict]),
     ]
+    if result.not_tried:
+        rows.append(("What was not tried?", f"This was a quick look, without {', '.join(result.not_tried)}."))
     if warnings:
         rows.append(("What to know of the recordings?", " ".join(warnings)))
     return section("In a minute", table(("", ""), (row(*r) for r in rows)))

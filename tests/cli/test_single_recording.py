@@ -1,8 +1,10 @@
-"""A single recording of a robot is enough for `idapt diagnose`: it is cut in time."""
+"""A single recording of a robot is enough for `idapt diagnose`: it is cut in time. And there is a quick look."""
 
 import json
 import sys
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -10,6 +12,8 @@ from conftest import ROOT
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.settings import QUICK_SETTINGS
 
 sys.path.insert(0, str(ROOT / "tests" / "report"))
 from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
@@ -49,3 +53,23 @@ def test_one_that_is_too_short_to_cut_says_that_more_are_needed(tmp_path, capsys
     arguments = ["--model", tmp_path / "m.xml", "--data", tmp_path / "one.h5", "--out", tmp_path / "d"]
     assert main(["diagnose", *map(str, arguments)]) == 1
     assert "at least two are needed" in capsys.readouterr().err
+
+
+def test_a_quick_look_finds_the_largest_effect_and_says_what_it_did_not_try(tmp_path, capsys):
+    (tmp_path / "m.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    write_trajectories(tmp_path / "some.h5", record(0.07))
+    arguments = ["--model", tmp_path / "m.xml", "--data", tmp_path / "some.h5", "--out", tmp_path / "d"]
+    assert main(["diagnose", "--quick", *map(str, arguments), "--threads", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "A quick look. Not tried: more than two effects" in shown and "laws of force" in shown
+    report = json.loads((tmp_path / "d/report.json").read_text())
+    assert [(e["effect"], e["target"]) for e in report["effects"]] == [("joint_damping", "shoulder")]
+    assert report["not_tried"] and "changes" not in report and "laws" not in report
+    assert "What was not tried?" in (tmp_path / "d/report.html").read_text()
+
+
+def test_time_for_a_quick_look_is_up_after_half_of_it():
+    spec = mujoco.MjSpec.from_string(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    found = diagnose(spec, record(0.07), settings=replace(QUICK_SETTINGS, seconds=0.0), threads=1)
+    assert len(found.result.effects) == 1, "the first round is made whatever the time"
+    assert not diagnose(spec, record(0.07), candidates=["joint_damping"], threads=1).result.not_tried
