@@ -125,7 +125,7 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
-    p.add_argument("--quick", action="store_true", help="a first answer in about 20 s; it says what was not tried")
+    p.add_argument("--quick", action="store_true", help="a first answer, in about 20 s; it says what was not tried")
     p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
