@@ -249,7 +249,7 @@ def run(name: str, effect: str, seed: int, published: Path, threads: int) -> dic
     right = not found if not answers else len(found) == 1 and bool(names[0] & answers)
     return {
         "model": name, "joints": plain.nv, "effect": effect, "seed": seed,
-        "truth": " or ".join(f"{e}({t})" for e, t in sorted(answers)) + f" {parameter}={value:.4g}" * bool(answers),
+        "truth": " or ".join(f"{e}({t})" for e, t in sorted(answers)) + (f" {parameter}={value:.4g}" if value else ""),
         "found": " + ".join(
             f"{e['effect']}({e['target']}) " + " ".join(f"{k}={p['estimate']}" for k, p in e["parameters"].items())
             for e in found
