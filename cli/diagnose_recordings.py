@@ -92,7 +92,7 @@ PARTS = 4
 
 
 def more_than_one(data: Trajectories) -> Trajectories:
-    """Recordings of several episodes; a single one is cut in time, and the user told where."""
+    """Recordings of several episodes; a single one that is long enough is cut in time, and the user told where."""
     if len(data) != 1 or len(data.episodes[0]) < 20 * PARTS:
         return data
     parts = cut_in_time(data, PARTS)

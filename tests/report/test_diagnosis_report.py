@@ -372,7 +372,7 @@ def with_dt(data, dt):
         (lambda d: changed(d, qpos=None), ("episode_1", "qpos", "qvel")),
         (nan_in_row_7, ("episode_1", "qpos", "NaN", "row 7")),
         (lambda d: record(HIDDEN, motor=""), ("episode_0", "actions", "(100, 0)", "1 actuators")),
-        (lambda d: record(HIDDEN, episodes=1), ("1 episode", "at least two")),
+        (lambda d: record(HIDDEN, episodes=1, steps=60), ("1 episode", "at least two")),
         (lambda d: record(HIDDEN, episodes=2, steps=4), ("2 episodes", "8 steps", "too few")),
         (lambda d: with_dt(d, 0.0), ("dt", "0")),
         (lambda d: with_dt(d, float("nan")), ("dt", "nan")),
