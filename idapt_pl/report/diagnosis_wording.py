@@ -28,9 +28,16 @@ HEADLINES = {
 
 def headline(result: DiagnosisResult) -> str:
     """The verdict in a few words."""
+    if quick_and_unexplained(result):
+        return "Something is missing that a quick look does not explain"
     if result.verdict is Verdict.UNEXPLAINED_RESIDUAL and result.effects:
         return "Something is still missing that no known effect explains"
     return HEADLINES[result.verdict]
+
+
+def quick_and_unexplained(result: DiagnosisResult) -> bool:
+    """Whether much is left that a quick look did not look for."""
+    return bool(result.not_tried) and result.verdict is Verdict.UNEXPLAINED_RESIDUAL
 
 
 def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:

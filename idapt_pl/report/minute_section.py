@@ -9,7 +9,7 @@ import mujoco
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
-from idapt_pl.report.diagnosis_wording import nominal_in_words
+from idapt_pl.report.diagnosis_wording import nominal_in_words, quick_and_unexplained
 from idapt_pl.report.explanation_section import probability_sentences
 from idapt_pl.report.html import row, section, table
 
@@ -22,6 +22,7 @@ ANSWERS = {
     Verdict.UNEXPLAINED_RESIDUAL: "No, and it is not known in full why.",
     Verdict.INSUFFICIENT_EXCITATION: "These recordings cannot tell.",
 }
+AFTER_A_QUICK_LOOK = "Run the whole diagnosis, without --quick."
 ACTIONS = {
     Verdict.EFFECTS_FOUND: "Check the values on the machine (What to do next), then use patched.xml in place of the "
     "model.",
@@ -45,7 +46,7 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
         ("What is different?", differences_in_words(result, sim.model)),
         ("How much does that matter?", matter_in_words(result)),
         ("How sure is it?", sureness_in_words(result, sim)),
-        ("What to do now?", ACTIONS[result.verdict]),
+        ("What to do now?", AFTER_A_QUICK_LOOK if quick_and_unexplained(result) else ACTIONS[result.verdict]),
     ]
     if result.not_tried:
         rows.append(("What was not tried?", f"This was a quick look, without {', '.join(result.not_tried)}."))

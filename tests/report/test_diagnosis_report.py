@@ -27,7 +27,7 @@ from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.report.diagnosis_wording import episode_list, verdict_in_words
+from idapt_pl.report.diagnosis_wording import episode_list, headline, verdict_in_words
 
 NOMINAL, HIDDEN = 0.01, 0.06
 
@@ -333,6 +333,12 @@ FRICTION = EffectEstimate(
 def test_every_verdict_has_its_sentence(verdict, effects, words):
     swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
     assert words in " ".join(verdict_in_words(made_result(verdict, effects), swing))
+
+
+def test_a_quick_look_does_not_say_that_nothing_known_explains_the_rest():
+    result = made_result("unexplained_residual", [FRICTION])
+    assert headline(result) == "Something is still missing that no known effect explains"
+    assert headline(replace(result, not_tried=("laws",))) == "Something is missing that a quick look does not explain"
 
 
 # --- bad input ------------------------------------------------------------------------------------------
