@@ -30,7 +30,7 @@ REFERENCE = "Stable-Baselines3"
 IMPLEMENTATIONS = (REFERENCE, "teacher", "image policy's heads")
 STATE, ACTION, BATCH, HIDDEN = 17, 6, 128, [256, 256]
 WARM_UP, UPDATES, PER_BATCH = 100, 1500, 4
-KEY = ("implementation", "threads")
+KEY = ("implementation", "threads", "cpu")
 
 
 def stable_baselines() -> float:
