@@ -40,6 +40,8 @@ JOINT_TYPES = ("free", "ball", "slide", "hinge")
 """By MuJoCo's number for them (mjtJoint)."""
 JOINT_TRANSMISSIONS = (0, 1)
 """MuJoCo's numbers (mjtTrn) of actuators that drive a joint."""
+NO_BIAS = 0
+"""MuJoCo's number (mjtBias) of actuators whose force is their command alone, as a motor's."""
 
 
 def main(args: list[str]) -> int:
@@ -79,7 +81,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     p.add_argument("--actuators", metavar="KIND", help="of a model that has none, as of idapt diagnose: motor, ...")
     p.add_argument("--out", type=Path, help="trajectory file to write (HDF5); not needed with --dry-run")
     p.add_argument("--format", choices=FORMATS, help="default: told by the recording's name")
-    p.add_argument("--repair", action="store_true", help="drop single rows whose time repeats or goes back")
+    p.add_argument("--repair", action="store_true", help="drop rows without numbers, and single ones whose time slips")
     p.add_argument("--dry-run", action="store_true", help="show what was understood and write nothing")
     o = p.parse_args(args)
     if o.draft_map is not None and o.model is None:
@@ -131,7 +133,7 @@ def import_recordings(
         mapping: which column is what, already in the model's order.
         layout: of the model that they are checked against, or None.
         format: of the recordings; None: told by their names.
-        repair: leave out single rows whose time repeats or goes back.
+        repair: leave out rows that lack a number, and single rows whose time repeats or goes back.
 
     Raises:
         RecordingError: naming the file, what was expected and what came.
@@ -177,7 +179,8 @@ def read_layout(path: Path, actuators: str | None = None) -> ModelLayout:
         model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] in JOINT_TRANSMISSIONS else ""
         for i in range(model.nu)
     ]
-    return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges, driven)))
+    force = [bool(bias == NO_BIAS) for bias in model.actuator_biastype]
+    return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges, driven, force)))
 
 
 def print_preview(imported: Imported, mapping: Mapping) -> None:

@@ -34,11 +34,19 @@ class JointLayout:
 
 @dataclass(frozen=True)
 class ActuatorLayout:
-    """An actuator of a model: name, control range, None without limits, and its joint, empty if it drives another."""
+    """An actuator of a model.
+
+    Attributes:
+        name: its name.
+        range: of its control, None without limits.
+        joint: that it drives, empty if it drives something else.
+        force: whether its command is a force or torque, not the target of a servo.
+    """
 
     name: str
     range: tuple[float, float] | None = None
     joint: str = ""
+    force: bool = False
 
 
 @dataclass(frozen=True)

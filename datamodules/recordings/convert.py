@@ -10,7 +10,7 @@ from datamodules.recordings.alternatives import chosen
 from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.mapping import LONGEST_PERIOD, SHORTEST_PERIOD, Channel, Mapping
 from datamodules.recordings.recorded import Recorded
-from datamodules.recordings.repair import rows_to_drop
+from datamodules.recordings.repair import between_empty, empty_rows, rows_to_drop
 from datamodules.trajectories import Episode, Trajectories
 
 PAUSE, PAUSE_PERIODS = 1.0, 10
@@ -54,14 +54,14 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
         recordings: as the readers return them.
         mapping: which column is what.
         source: what the trajectory file says of where the data come from.
-        repair: leave out single rows whose time repeats or goes back, and say how many.
+        repair: leave out rows that lack a number, and single rows whose time repeats or goes back; say how many.
 
     Raises:
         RecordingError: naming the file, column and row, what was expected and what came.
     """
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
     repaired: tuple[str, ...] = ()
-    if repair and mapping.time is not None:
+    if repair:
         episodes, repaired = _repaired(episodes, mapping)
     times = [_times(episode, chosen(mapping, episode)) for episode in episodes]
     episodes, times, cut = _cut_at_pauses(episodes, times)
@@ -161,18 +161,36 @@ def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
 
 
 def _repaired(episodes: list[Recorded], mapping: Mapping) -> tuple[list[Recorded], tuple[str, ...]]:
-    """Episodes without single rows whose time repeats or goes back, and what to tell of it."""
+    """Episodes without rows that lack a number, and what to tell of it; then without single slips of the clock."""
+    parts, lacking = [], []
+    for episode in episodes:
+        empty = empty_rows(episode, chosen(mapping, episode))
+        lacking += [f"{episode.source}, {episode.row(int(k))}" for k in np.flatnonzero(empty)]
+        parts += between_empty(episode, empty) if empty.any() else [episode]
+    if not parts:
+        raise RecordingError(f"{episodes[0].source}: --repair: no two rows in a row have all numbers of the map")
+    notes: list[str] = []
+    if lacking:
+        cut = f", and {len(parts)} episodes are left of {len(episodes)}" if len(parts) != len(episodes) else ""
+        notes.append(f"{len(lacking)} rows without numbers are left out, the first {lacking[0]}{cut}")
+    if mapping.time is not None:
+        parts, slips = _without_slips(parts, mapping)
+        if slips:
+            notes.append(f"{len(slips)} rows whose time repeats or goes back are left out, the first {slips[0]}")
+    return parts, tuple(notes) or ("--repair found no row without numbers and no time that repeats or goes back",)
+
+
+def _without_slips(episodes: list[Recorded], mapping: Mapping) -> tuple[list[Recorded], list[str]]:
+    """Episodes without single rows whose time repeats or goes back, and where these were."""
     kept, dropped = [], []
     for episode in episodes:
         time = chosen(mapping, episode).time
-        assert time is not None  # a map without one has nothing to repair
+        assert time is not None  # a map without one has no slips
         times = episode.numbers(time[0], "time.column")
         drop = rows_to_drop(times)
         dropped += [f"{episode.source}, {episode.row(k)}" for k in drop]
         kept.append(episode.without(drop, len(times)) if drop else episode)
-    if not dropped:
-        return episodes, ("--repair found no row whose time repeats or goes back",)
-    return kept, (f"{len(dropped)} rows whose time repeats or goes back are left out, the first {dropped[0]}",)
+    return kept, dropped
 
 
 def _cut_at_pauses(

@@ -19,6 +19,7 @@ from datamodules.recordings.draft_names import (
     kind_of,
     named_unit,
     telling_words,
+    wants_motion,
     words_of,
 )
 from datamodules.recordings.draft_units import position_measure, slope_of, time_unit, velocity_measure
@@ -108,7 +109,8 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
     beside = {name: found.column for name, found in positions.items()}
     velocities = match(words, VELOCITY, recorded, free, beside)
     free = _without(free, velocities)
-    commands = match({a.name: _actuator_words(a, free) for a in model.actuators}, COMMAND, recorded, free)
+    driving = [c for c in free if not wants_motion(c)] if all(a.force for a in model.actuators) else free
+    commands = match({a.name: _actuator_words(a, driving) for a in model.actuators}, COMMAND, recorded, driving)
     free = _without(free, commands)
     rows = max(len(recorded.columns[c]) for c in beside.values()) if beside else len(recorded.columns[free[0]])
     draft = Draft(str(path), model.name, rows, settings)

@@ -101,6 +101,9 @@ def _score(column: str, words: set[str], kind: str, recorded: Recorded, beside: 
     named, found = agreement(words, column), kind_of(column)
     if not named or found not in ("", kind):
         return 0.0
+    shared = words & set(words_of(column))
+    if not found and all(word.isdigit() for word in shared):  # a number alone tells little: many things are counted
+        return 0.0
     alone = set(words_of(column)) == words
     if not found and kind != POSITION and not (kind == COMMAND and alone):
         return 0.0

@@ -109,6 +109,12 @@ def kind_of(name: str) -> str:
     return POSITION if words & PLACED else ends[0] if ends else ""
 
 
+def wants_motion(name: str) -> bool:
+    """Whether a command's name says that it is a position or velocity that somebody wanted, and not a torque."""
+    words = set(words_of(name))
+    return bool(words & COMMANDED and words & (MOVING | PLACED) and not words & DRIVING)
+
+
 def named_unit(name: str, kind: str) -> tuple[str, str]:
     """The unit in a column's name, as a map has it (``counts`` without their number), and the word that tells it.
 

@@ -75,7 +75,8 @@ class Recorded:
         if len(bad := np.flatnonzero(~np.isfinite(values))):
             raise RecordingError(
                 f"{self.source}: column {name!r}, {self.row(first[bad[0]])}: expected a number, got "
-                f"{values[bad[0]]} or nothing ({len(bad)} such rows); cut the recording there or fill the gap"
+                f"{values[bad[0]]} or nothing ({len(bad)} such rows); cut the recording there, fill the gap, or let "
+                "--repair leave such rows out"
             )
         return values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
 

@@ -102,13 +102,16 @@ def declared(joint: str, kind: str, settings: Mapping[str, Any], where: str) -> 
     return DeclaredActuator(joint, kind, values)
 
 
-def add_actuators(spec: mujoco.MjSpec, actuators: Sequence[DeclaredActuator], where: str) -> list[str]:
+def add_actuators(
+    spec: mujoco.MjSpec, actuators: Sequence[DeclaredActuator], where: str, driven: Sequence[str] = ()
+) -> list[str]:
     """Give a model actuators; what was given, in sentences.
 
     Args:
         spec: of the model, edited in place; its joints have names.
         actuators: in the order of the commands; those for ``*`` in the order of the joints.
         where: the model, for messages.
+        driven: joints that its file says are driven; if there are any, ``*`` means these.
 
     Raises:
         ValueError: the model has actuators, a joint is not there or not one that a single command can drive.
@@ -120,10 +123,11 @@ def add_actuators(spec: mujoco.MjSpec, actuators: Sequence[DeclaredActuator], wh
     kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
     following = {e.name1 for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_JOINT}
     drivable = {j.name: j for j in spec.joints if j.type in kinds and j.name not in following}
+    every = [n for n in drivable if n in driven] or list(drivable)
     told = []
     for a in actuators:
         taken = {x.target for x in spec.actuators}
-        names = [n for n in drivable if n not in taken] if a.joint == ANY_JOINT else [a.joint]
+        names = [n for n in every if n not in taken] if a.joint == ANY_JOINT else [a.joint]
         for name in names:
             if name not in drivable or name in taken:
                 why = "has two actuators" if name in taken else "is not there, or follows another"
@@ -132,7 +136,9 @@ def add_actuators(spec: mujoco.MjSpec, actuators: Sequence[DeclaredActuator], wh
             told.append(name)
     order = f"commands drive, in this order: {', '.join(told)}"
     settings = {", ".join([a.kind, *(f"{k} {v:g}" for k, v in a.settings.items())]) for a in actuators}
-    return [f"actuators as declared ({'; '.join(sorted(settings))}); {order}"]
+    passive = [n for n in drivable if n not in told] if len(every) < len(drivable) else []
+    left = f"; the file names no drive of {', '.join(passive)}" if passive else ""
+    return [f"actuators as declared ({'; '.join(sorted(settings))}); {order}{left}"]
 
 
 def add_actuator(spec: mujoco.MjSpec, joint: Any, declared: DeclaredActuator) -> None:

@@ -12,7 +12,7 @@ import mujoco
 from idapt_pl.diagnosis.model import name_elements, read_model
 from idapt_pl.effects.compile_time import write_out_masses
 from idapt_pl.robot_files.actuators import DeclaredActuator, add_actuators
-from idapt_pl.robot_files.urdf import prepare_urdf
+from idapt_pl.robot_files.urdf import driven_joints, prepare_urdf
 
 LARGEST_FILE = 50_000_000
 """Bytes."""
@@ -40,9 +40,9 @@ def read_robot(path: Path, actuators: Sequence[DeclaredActuator] | None = None) 
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected the model (MJCF or URDF)")
     notes: list[str] = []
-    spec = read_urdf(path, notes) if is_urdf(path) else read_model(path)
+    spec, driven = read_urdf(path, notes) if is_urdf(path) else (read_model(path), [])
     if actuators is not None:
-        notes += add_actuators(spec, actuators, str(path))
+        notes += add_actuators(spec, actuators, str(path), driven)
         try:
             spec = name_elements(spec)
         except ValueError as error:
@@ -59,8 +59,8 @@ def is_urdf(path: Path) -> bool:
     return str(element.tag).rpartition("}")[2] == "robot"
 
 
-def read_urdf(path: Path, notes: list[str]) -> mujoco.MjSpec:
-    """A URDF as the MJCF that MuJoCo makes of it; adds to ``notes`` what is lost.
+def read_urdf(path: Path, notes: list[str]) -> tuple[mujoco.MjSpec, list[str]]:
+    """A URDF as the MJCF that MuJoCo makes of it, and the joints that it says are driven; ``notes`` get what is lost.
 
     Raises:
         ValueError: naming the file, and what is wrong with it.
@@ -69,6 +69,7 @@ def read_urdf(path: Path, notes: list[str]) -> mujoco.MjSpec:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it is larger than {LARGEST_FILE // 10**6} MB")
         root = ET.parse(path).getroot()
+        driven = driven_joints(root)
         notes += prepare_urdf(root, path.resolve().parent)
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
         spec.compile()
@@ -78,4 +79,4 @@ def read_urdf(path: Path, notes: list[str]) -> mujoco.MjSpec:
         raise ValueError(f"{path}: cannot be read as URDF: {' '.join(str(error).split())}") from None
     if not len(spec.joints):
         raise ValueError(f"{path}: no joint of it moves (all are fixed), so there is nothing to diagnose")
-    return spec
+    return spec, driven

@@ -18,7 +18,7 @@ WATER = 1000
 """Density by which MuJoCo makes masses of shapes [kg/m³]."""
 
 DROPPED = {
-    "transmission": "transmissions are not read: commands act on the joints, without a gear",
+    "transmission": "gears of transmissions are not read: commands act on the joints",
     "gazebo": "<gazebo> elements are not read (friction of contacts, sensors, plugins)",
 }
 MOST_LISTED = 6
@@ -44,6 +44,7 @@ def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
     """
     if any("xacro" in e.tag or "xacro" in " ".join(e.attrib) for e in root.iter() if isinstance(e.tag, str)):
         raise ValueError("this is xacro, not URDF: expand it first, as in `xacro robot.urdf.xacro > robot.urdf`")
+    name_the_world(root)
     check_links(root)
     notes = [*drop_shapes(root, folder), *mend_inertials(root), *joints_lost(root)]
     for tag, words in DROPPED.items():
@@ -56,6 +57,15 @@ def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
     return notes
 
 
+def driven_joints(root: ET.Element) -> list[str]:
+    """Joints that a URDF says are driven, by its transmissions or commands of ros2_control, in its order."""
+    joints = [j for t in root.findall("transmission") for j in t.iter("joint")]
+    joints += [
+        j for c in root.findall("ros2_control") for j in c.iter("joint") if j.find("command_interface") is not None
+    ]
+    return list(dict.fromkeys(j.get("name", "") for j in joints))
+
+
 def compiler_of(root: ET.Element) -> ET.Element:
     """The settings of MuJoCo's compiler in a URDF, made where there are none."""
     element = root
@@ -63,6 +73,13 @@ def compiler_of(root: ET.Element) -> ET.Element:
         found = element.find(tag)
         element = ET.SubElement(element, tag) if found is None else found
     return element
+
+
+def name_the_world(root: ET.Element) -> None:
+    """Put in the link ``world`` where joints hang on it and it is not there: Drake knows it without being told."""
+    parents = {p.get("link") for j in root.findall("joint") if (p := j.find("parent")) is not None}
+    if "world" in parents - {link.get("name") for link in root.findall("link")}:
+        ET.SubElement(root, "link", name="world")
 
 
 def check_links(root: ET.Element) -> None:
@@ -213,7 +230,7 @@ def joints_lost(root: ET.Element) -> list[str]:
     notes = [words for words in joint_notes(joints) if words]
     children = {c.get("link") for j in root.findall("joint") if (c := j.find("child")) is not None}
     bases = [link.get("name", "") for link in root.findall("link") if link.get("name") not in children]
-    if bases:
+    if bases and bases != ["world"]:
         notes.append(f"the base ({name_list(bases)}) is fixed to the world: URDF has no words for one that moves")
     return notes
 

@@ -169,6 +169,20 @@ def test_joints_that_the_recording_calls_otherwise_go_by_their_place(model, tmp_
     assert columns == ["state.position[pan]", "state.position[lift]"] and text.count("BY ITS PLACE ONLY") == 2
 
 
+def test_what_a_controller_wanted_is_no_torque_and_a_number_alone_is_no_joint(tmp_path):
+    model, c = tmp_path / "arm.xml", motion()
+    motors = '<motor name="m1" joint="joint1"/><motor name="m2" joint="joint2"/>'
+    joints = [f'<body><joint name="joint{k}" axis="0 1 0"/><geom size=".1"/>{{}}</body>' for k in (1, 2)]
+    bodies = joints[0].format(joints[1].format(""))
+    model.write_text(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
+    columns = {"t": c["t"], "k1_store": 3 * c["u"], "k2_store": c["u"], "k3_store": c["tau"]}
+    for k in (1, 2):
+        columns |= {f"arm{k}_des_pos": c["q"], f"arm{k}_pos": k * c["q"], f"arm{k}_tau": k * c["u"]}
+    got, _ = drafted(write_csv(tmp_path / "run.csv", columns), model)
+    assert [got["joints"][f"joint{k}"]["position"]["column"] for k in (1, 2)] == ["arm1_pos", "arm2_pos"]
+    assert [got["actuators"][f"m{k}"]["column"] for k in (1, 2)] == ["arm1_tau", "arm2_tau"]
+
+
 def test_two_arrays_that_would_do_equally_well_are_left_to_the_person(model, tmp_path):
     a = arrays(ROWS)
     np.savez(tmp_path / "run.npz", t=a["t"], qpos_left=a["q"], qpos_right=2 * a["q"])

@@ -89,7 +89,7 @@ def test_what_needs_no_repair_stays_as_it_is(tmp_path):
     np.testing.assert_array_equal(
         whole.trajectories.episodes[0].observations["qpos"], repaired.trajectories.episodes[0].observations["qpos"]
     )
-    assert repaired.notes == ("--repair found no row whose time repeats or goes back",)
+    assert repaired.notes == ("--repair found no row without numbers and no time that repeats or goes back",)
 
 
 def test_the_command_shows_how_many_rows_were_dropped(tmp_path, capsys):
@@ -161,3 +161,30 @@ def test_a_list_is_a_free_joints_columns_unless_the_model_knows_better(tmp_path)
     path = write_csv(tmp_path / "run.csv", recorded())
     (episode,) = convert(read_recording(path, mapping), mapping).trajectories
     np.testing.assert_allclose(episode.observations["qpos"][:, 0], recorded()["x"])
+
+
+@pytest.mark.parametrize(
+    ("lost", "left"), [((0, 1), [18]), ((19,), [19]), ((8,), [8, 11]), ((5, 7), [5, 12]), ((0, 9, 10, 19), [8, 8])]
+)
+@pytest.mark.parametrize("column", ["t", "x", "w"])
+def test_rows_without_numbers_are_left_out_and_end_an_episode(column, lost, left, tmp_path):
+    columns = recorded(20, 0.01)
+    columns[column] = columns[column].astype(float)
+    columns[column][list(lost)] = np.nan
+    path = write_csv(tmp_path / "run.csv", columns)
+    with pytest.raises(RecordingError, match="--repair leave such rows out"):
+        imported(path, repair=False)
+    out = imported(path)
+    assert [len(e.actions) + 1 for e in out.trajectories.episodes] == left
+    assert out.notes[0].startswith(f"{len(lost)} rows without numbers are left out, the first")
+    whole = imported(write_csv(tmp_path / "whole.csv", recorded(20, 0.01)), repair=False).trajectories.episodes[0]
+    first = next(k for k in range(20) if k not in lost)
+    np.testing.assert_allclose(
+        out.trajectories.episodes[0].observations["qpos"], whole.observations["qpos"][first : first + left[0]]
+    )
+
+
+def test_a_recording_without_any_whole_row_is_an_error(tmp_path):
+    columns = recorded(20, 0.01) | {"x": np.full(20, np.nan)}
+    with pytest.raises(RecordingError, match="no two rows in a row have all numbers of the map"):
+        imported(write_csv(tmp_path / "run.csv", columns))

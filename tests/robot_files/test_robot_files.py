@@ -59,7 +59,7 @@ def test_what_a_urdf_says_is_in_the_model(urdf):
         ({"joint": "<safety_controller/>"}, ("safety_controller", "elbow")),
         (
             {"more": '<transmission name="t"><joint name="elbow"/><actuator name="m"/></transmission>'},
-            ("transmissions are not read", "elbow"),
+            ("gears of transmissions are not read", "elbow"),
         ),
         ({"more": '<gazebo reference="upper"/>'}, ("gazebo",)),
     ],
@@ -152,6 +152,31 @@ def test_a_joint_that_mimics_another_gets_no_actuator(urdf):
 def test_actuators_that_cannot_be_read_are_a_clear_error(text, words):
     with pytest.raises(ValueError, match=words):
         parse_actuators(text)
+
+
+TRANSMISSION = '<transmission name="t"><joint name="elbow"/><actuator name="m"/></transmission>'
+CONTROL = '<ros2_control name="r" type="system"><joint name="elbow">{}</joint></ros2_control>'
+
+
+@pytest.mark.parametrize(
+    ("more", "driven"),
+    [
+        (TRANSMISSION, ["elbow"]), (CONTROL.format('<command_interface name="effort"/>'), ["elbow"]),
+        (CONTROL.format('<state_interface name="position"/>'), ["shoulder", "elbow"]), ("", ["shoulder", "elbow"]),
+    ],
+)  # fmt: skip
+def test_a_file_that_names_its_drives_leaves_the_other_joints_passive(more, driven, urdf):
+    robot = read_robot(urdf(more=more), parse_actuators("motor"))
+    assert [a.target for a in robot.spec.actuators] == driven
+    assert said(robot, "names no drive of shoulder") == (driven == ["elbow"])
+
+
+def test_a_urdf_whose_world_goes_without_saying_is_the_same_robot(urdf):
+    hung = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
+    plain, drakes = read_robot(urdf()), read_robot(urdf(more=hung))
+    assert plain.spec.compile().nv == drakes.spec.compile().nv == 2
+    np.testing.assert_allclose(plain.spec.compile().body_mass, drakes.spec.compile().body_mass)
+    assert not said(drakes, "fixed to the world") and said(plain, "fixed to the world")
 
 
 def test_actuators_of_joints_that_are_not_there_and_a_second_set_are_errors(urdf, tmp_path):
