@@ -20,9 +20,9 @@ command, and corrects the simulation step by step. It names nothing. Writes resu
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -37,19 +37,15 @@ from tables import read_rows, write_rows
 from tqdm import tqdm
 
 from benchmarks.diagnosis import in_order, record
+from benchmarks.other_fits import held_out_error, sysid_fit
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
-from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.model import name_elements
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.simulator import STATE, Simulator, silence_mujoco
-from idapt_pl.diagnosis.whitening import whiten
+from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
 from idapt_pl.effects.candidate import Candidate
-from idapt_pl.effects.runtime import RuntimeEffect
-from idapt_pl.estimation.least_squares import robust_loss
 from idapt_pl.nets.mlp import mlp
 
 FIELDS = (
@@ -59,118 +55,28 @@ FIELDS = (
 )  # fmt: skip
 IDENTIFIABLE = [c.name for c in CASES.values() if c.kind in ("single", "double", "confounded")]
 
-WIDEST = 20.0
-"""Bounds of the parameters of mujoco.sysid, in noticeable changes."""
-
-
-def held_out_error(state: SearchState, residual: np.ndarray) -> float:
-    """Rms of the whitened held-out error, as in report.json."""
-    return float(np.sqrt(robust_loss(whiten(state.windows.held_out.W, residual)).mean()))
-
-
 # --- mujoco.sysid ---------------------------------------------------------------------------------
 
 
-def single_numbers(context: SearchContext) -> list[Candidate]:
-    """Effects that are one number of one element of the MJCF and add no state to it, each once."""
-    plain = context.sim.model
-
-    def fits(c: Candidate) -> bool:
-        if c.size != 1 or c.target == "*" or issubclass(c.kind, RuntimeEffect):
-            return False
-        changed = context.sim.compile((c.effect(np.add(c.nominal, c.scale)),))
-        return (changed.nq, changed.na) == (plain.nq, plain.na)
-
-    return list({c.label: c for c in context.candidates if fits(c)}.values())
-
-
-def could_name(case: Case, singles: list[Candidate]) -> int:
+def could_name(case: Case, singles: Sequence[Candidate]) -> int:
     """Whether a right answer is among the parameters."""
     return int(any((c.kind.name, c.target) in answer for c in singles for answer in case.accept))
-
-
-def sequences(spec: mujoco.MjSpec, sim: Simulator, windows: Windows):
-    """Windows as mujoco.sysid takes them: held commands at every time step, positions and velocities as sensors."""
-    from mujoco import sysid
-
-    spec = spec.copy()
-    for kind, suffix in ((mujoco.mjtSensor.mjSENS_JOINTPOS, "pos"), (mujoco.mjtSensor.mjSENS_JOINTVEL, "vel")):
-        for joint in spec.joints:
-            spec.add_sensor(
-                name=f"{joint.name}_{suffix}", type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint.name
-            )
-    model = spec.copy().compile()
-    h, states, controls, sensors = model.opt.timestep, [], [], []
-    for e, start in zip(windows.episode, windows.start, strict=True):
-        r, rows = sim.data[e], np.arange(start, start + windows.offsets[-1] + 1)
-        times = r.time[rows] - r.time[start]
-        grid = np.arange(round(times[-1] / h) + 2) * h  # the last one is dropped by its rollout
-        held = np.clip(np.searchsorted(times, grid + 1e-9, side="right") - 1, 0, len(rows) - 2)
-        states.append(sysid.create_initial_state(model, r.qpos[start], r.qvel[start], np.zeros(model.na)))
-        controls.append(sysid.TimeSeries(grid, r.actions[rows[held]]))
-        sensors.append(sysid.TimeSeries.from_names(times, np.hstack([r.qpos[rows], r.qvel[rows]]), model))
-    names = [f"window_{i}" for i in range(len(windows))]
-    return sysid.ModelSequences(spec.modelname or "model", spec, names, states, controls, sensors)
 
 
 def fit_all(
     case: Case, context: SearchContext, state: SearchState, spec: mujoco.MjSpec, optimizer: str, iterations: int
 ) -> dict:
     """The first baseline."""
-    from mujoco import sysid
-
-    started, sim, singles = time.perf_counter(), context.sim, single_numbers(context)
-    w, held_out = state.windows.screen.windows, state.windows.held_out.windows
-    params = sysid.ParameterDict()
-    for c in singles:
-        # in units of what is noticeable: the fit stalls where units differ widely or bounds are far apart
-        low, high = (float((b[0] - c.nominal[0]) / c.scale[0]) for b in c.bounds())
-        apply = lambda s, p, c=c: c.effect(np.add(c.nominal, np.multiply(c.scale, p.value))).apply(s)  # noqa: E731
-        params.add(sysid.Parameter(c.label, 0.0, max(low, -WIDEST), min(high, WIDEST), modifier=apply))
-    measured = sequences(spec, sim, w)
-    scale = np.sqrt(np.square(sim.residual(context.declared, w)).mean((0, 1)))
-
-    def weighted(params, predicted, seen, model, return_all, state):
-        """Residual at the samples' own times. The sensors of a rollout lag by a time step, its states do not."""
-        at = seen.times[1:]
-        values = np.stack([np.interp(at, state[:, 0], column) for column in state[:, 1 : 1 + model.nq + model.nv].T], 1)
-        same = sysid.TimeSeries(at, values, seen.signal_mapping)
-        return (seen.data[1:] - values) / scale, same, sysid.TimeSeries(at, seen.data[1:], seen.signal_mapping)
-
-    # all windows of one vector of parameters at once: window by window its models would be compiled again for each
-    measured.measured_rollout = [measured.measured_rollout]
-    residual = sysid.build_residual_fn(
-        models_sequences=[measured], modify_residual=weighted, resample_true=False,
-        build_model=lambda p, spec: sysid.apply_param_modifiers(p, spec.copy()),  # else gains pile up
-    )  # fmt: skip
-
-    rows = len(w) * w.offsets[-1] * (sim.model.nq + sim.model.nv)
-
-    def column(x: np.ndarray, params) -> np.ndarray:
-        try:
-            return np.nan_to_num(residual(x, params)[0][0], nan=1e3).clip(-1e3, 1e3)
-        except ValueError:  # it cannot read a simulation that blew up, whose clock starts again
-            return np.full(rows, 1e3)
-
-    def columns(x: np.ndarray, params) -> tuple[list[np.ndarray], None, None]:
-        vectors = x[:, None] if x.ndim == 1 else x
-        found = np.stack([column(v, params) for v in vectors.T], 1)
-        return [found[:, 0] if x.ndim == 1 else found], None, None
-
-    with silence_mujoco():
-        how = {"mujoco": {"eps": 0.02, "output": io.StringIO()}}.get(optimizer, {"diff_step": 0.02, "loss": "soft_l1"})
-        fitted, result = sysid.optimize(params, columns, optimizer, verbose=False, max_iters=iterations, **how)
-    change = fitted.as_vector()
-    x = np.array([c.nominal[0] + c.scale[0] * v for c, v in zip(singles, change, strict=True)])
-    _, interval = sysid.calculate_intervals(columns(change, params)[0], result.jac)
-    largest, surest = (singles[int(np.argmax(size))] for size in (np.abs(change), np.abs(change) / (interval + 1e-12)))
+    started = time.perf_counter()
+    fit = sysid_fit(context, state, state.windows.screen.windows, spec, optimizer, iterations)
+    sizes = np.abs(fit.change), np.abs(fit.change) / (fit.interval + 1e-12)
+    largest, surest = (fit.parameters[int(np.argmax(size))] for size in sizes)
     accepted = set().union(*case.accept)
-    after = held_out_error(state, sim.residual(effects_of(singles, x[:, None]), held_out))
     return {
-        "sysid_parameters": len(singles), "sysid_could": could_name(case, singles), "sysid_named": largest.label,
-        "sysid_top1": int((largest.kind.name, largest.target) in accepted),
+        "sysid_parameters": len(fit.parameters), "sysid_could": could_name(case, fit.parameters),
+        "sysid_named": largest.label, "sysid_top1": int((largest.kind.name, largest.target) in accepted),
         "sysid_surest": surest.label, "sysid_surest_top1": int((surest.kind.name, surest.target) in accepted),
-        "sysid_after": round(after, 4), "sysid_seconds": round(time.perf_counter() - started, 1),
+        "sysid_after": round(fit.after, 4), "sysid_seconds": round(time.perf_counter() - started, 1),
     }  # fmt: skip
 
 

@@ -3,12 +3,15 @@
     git clone https://github.com/dfki-ric-underactuated-lab/torque_limited_simple_pendulum CLONES/simple_pendulum
     git clone https://github.com/unisa-acg/inverse-dynamics-solver CLONES/inverse_dynamics_solver
     pip download --no-deps robosuite==1.5.2 && unzip -qd CLONES/robosuite robosuite-*.whl
+    git clone https://github.com/dfki-ric-underactuated-lab/ricmonk CLONES/ricmonk
+    pip install "idapt[benchmarks]"
     python benchmarks/real_machines.py CLONES [--sets pendulum] [--report DIR]
 
-Files are imported with the map that `idapt import --draft-map` writes, unread, and diagnosed with all defaults but for
-which episodes are held out. Beside it a plain fit, as by hand: damping, dry friction and rotor inertia of every joint,
-all at once, on the same windows. Errors are root mean squares of whitened predictions of held-out episodes. Writes
-results/real_machines.csv. Nothing of the recordings is committed.
+Files are imported with the map that `idapt import --draft-map` writes, unread, where names in the log are those of the
+model (else with the map that stands here), and diagnosed with all defaults but for which episodes are held out. Beside
+it, on the same windows: a plain fit, as by hand (damping, dry friction and rotor inertia of every joint at once),
+CMA-ES over what PACE fits, and mujoco.sysid on all single numbers. Errors are root mean squares of whitened predictions
+of held-out episodes. Writes results/real_machines.csv. Nothing of the recordings is committed.
 """
 
 from __future__ import annotations
@@ -18,7 +21,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,23 +28,23 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
+import mujoco
 import numpy as np
 from tables import read_rows, write_rows
 
+from benchmarks.other_fits import by_hand, pace, sysid_fit
 from cli.diagnose_recordings import more_than_one
 from cli.main import main as idapt
 from cli.provenance import git_commit
 from datamodules import read_trajectories
-from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.robot_files import parse_actuators, read_robot
 
 FIELDS = (
-    "set", "episodes", "rows", "joints", "held_out", "before", "plain_fit", "after", "verdict", "found", "known",
-    "seconds", "threads", "source", "commit",
+    "set", "episodes", "rows", "joints", "held_out", "before", "plain_fit", "pace", "sysid", "after", "verdict",
+    "found", "known", "seconds", "threads", "source", "commit",
 )  # fmt: skip
-PLAIN = ("joint_damping", "joint_frictionloss", "joint_armature")
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Recorded:
         actuators: as of ``idapt diagnose --actuators``, for a model without.
         known: what is known about the truth.
         hold_out: numbers of the episodes to judge on; None for the default.
+        map: a map, where the log has other names than the model; empty: a draft.
     """
 
     clone: str
@@ -64,7 +67,17 @@ class Recorded:
     actuators: str | None
     known: str
     hold_out: tuple[int, ...] | None = None
+    map: str = ""
 
+
+RICMONK_MAP = """
+time: {column: meas_time, unit: s}
+joints:
+  virtul_joint_hook_1: {position: arm1_meas_Ang_pos, velocity: arm1_meas_Ang_vel}
+  Joint1: {position: tail_meas_Ang_pos, velocity: tail_meas_Ang_vel}
+  Joint3: {position: phi_meas_Ang_pos, velocity: phi_meas_Ang_vel}
+actuators: {Joint1: tail_clipped_tau, Joint3: phi_clipped_tau}
+"""
 
 PENDULUM = "results/control_method_{}/data_measured.csv"
 SETS = {
@@ -79,6 +92,11 @@ SETS = {
     "pendulum_bang_bang": Recorded(
         "simple_pendulum", (PENDULUM.format("energy_shaping"),), "data/urdf/dfki_simple_pendulum.urdf", "motor",
         "torque goes with the direction of motion throughout: friction, dead zone and mass cannot be told apart",
+    ),
+    "ricmonk": Recorded(
+        "ricmonk", tuple(f"results/singleBrachiation_tvlqr/TVLQR_{m}/measured.csv" for m in ("BF", "FB", "ZB", "ZF")),
+        "data/simulation_models/finalRicMonkCurrent.urdf", "motor",
+        "it lets go and catches a bar; motors with gears 6:1", map=RICMONK_MAP,
     ),
     "panda": Recorded(
         "inverse_dynamics_solver", ("franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3",),
@@ -102,14 +120,19 @@ def fetched(clones: Path, which: Recorded, folder: Path) -> tuple[list[Path], Pa
 
 
 def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
-    """Import, diagnose, fit plainly."""
+    """Import, diagnose, and fit by other means."""
     which = SETS[name]
     with tempfile.TemporaryDirectory() as folder:
         files, model = fetched(clones, which, Path(folder))
         drive = ["--actuators", which.actuators] if which.actuators else []
         recorded, known = Path(folder, "recorded.h5"), ["--model", str(model), *drive]
-        if idapt(["import", *known, "--draft-map", f"{folder}/map.yaml", str(files[0])]) or idapt(
-            ["import", *known, "--map", f"{folder}/map.yaml", *map(str, files), "--out", str(recorded)]
+        map_file, failed = Path(folder, "map.yaml"), 0
+        if which.map:
+            map_file.write_text(which.map)
+        else:
+            failed = idapt(["import", *known, "--draft-map", str(map_file), str(files[0])])
+        if failed or idapt(
+            ["import", *known, "--map", str(map_file), *map(str, files), "--out", str(recorded), "--repair"]
         ):
             raise SystemExit(f"{name}: its files were not read")
         robot = read_robot(model, parse_actuators(which.actuators) if which.actuators else None)
@@ -129,20 +152,19 @@ def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
     return {
         "set": name, "episodes": len(data), "rows": data.total_steps, "joints": out.sim.model.nv,
         "held_out": " ".join(map(str, error["held_out_episodes"])), "before": error["before"],
-        "plain_fit": round(plain_fit(out), 4), "after": error["after"], "verdict": out.report["verdict"],
+        "plain_fit": round(by_hand(out.context, out.state), 4), "pace": round(pace(out.context, out.state), 4),
+        "sysid": by_sysid(out, robot.spec), "after": error["after"], "verdict": out.report["verdict"],
         "found": " + ".join(found), "known": which.known, "seconds": round(seconds, 1), "threads": threads,
         "source": source, "commit": git_commit(),
     }  # fmt: skip
 
 
-def plain_fit(out: Diagnosis) -> float:
-    """Held-out error after a fit of what is fitted by hand to every joint at once, in the noise's units."""
-    context, windows = out.context, out.state.windows
-    joints = {c.target for c in context.candidates if c.kind.name in PLAIN} - {"*", "actuated"}
-    candidates = [c for c in context.candidates if c.kind.name in PLAIN and c.target in joints]
-    x: Sequence[np.ndarray] = [np.array(c.nominal, float) for c in candidates]
-    x = context.fit(windows.fit, context.declared, candidates, x, 15).x
-    return float(np.sqrt(context.loss(windows.held_out, (*context.declared, *effects_of(candidates, x))).mean()))
+def by_sysid(out: Diagnosis, spec: mujoco.MjSpec) -> float | str:
+    """Held-out error after mujoco.sysid; in words why there is none."""
+    try:
+        return round(sysid_fit(out.context, out.state, out.state.windows.fit.windows, spec, "mujoco", 100).after, 4)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        return f"failed: {' '.join(str(error).split())[:80]}"
 
 
 def main() -> None:
