@@ -223,7 +223,8 @@ def read_effect(entry: Any) -> Effect:
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
     """The verdict, the errors, the effects, and where the rest is."""
     result, model = diagnosis.result, diagnosis.sim.model
-    errors = Table(title=f"error on held-out {episode_list(result.error.held_out_episodes)} (1 = measurement noise)")
+    held_out, unit = episode_list(result.error.held_out_episodes), result.error.yardstick
+    errors = Table(title=f"error on held-out {held_out} (1 = {unit})")
     for title, how in (("", "left"), ("error", "right"), ("", "left")):
         errors.add_column(title, justify=how)
     for name, value, what in error_rows(result):

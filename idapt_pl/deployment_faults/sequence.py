@@ -113,7 +113,9 @@ def size(off: np.ndarray, usual: np.ndarray) -> np.ndarray:
 
 
 def lost_rows(motion: JointMotion, dt: float, usual: np.ndarray, taken: set[int]) -> np.ndarray:
-    """How many rows are missing after each row, (T,).
+    """How many rows are missing after each row, (T,): the steps beside such a step are as usual.
+
+    Where a filter of the velocities has just begun, they lag for many steps on end, by less and less.
 
     Args:
         motion: of the episode.
@@ -123,7 +125,7 @@ def lost_rows(motion: JointMotion, dt: float, usual: np.ndarray, taken: set[int]
     """
     one, found = size(mismatch(motion, dt), usual), np.zeros(len(motion[0]) - 1, int)
     for k in np.flatnonzero(one > FAR_FROM_USUAL).tolist():
-        if k in taken:
+        if k in taken or (one[max(k - 1, 0) : k + 2] > FAR_FROM_USUAL).sum() > 1:
             continue
         rows = np.array([k])
         left = [float(size(mismatch(motion, dt, rows, 1.0 + m), usual)[0]) for m in range(1, MOST_LOST + 1)]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from idapt_pl.diagnosis.acceptance import confirm, why_implausible
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.trial import RejectionReason, Trial
@@ -35,7 +36,8 @@ def try_implausible(
     narrow = {(c.label, c.names): c for c in context.candidates}
     anything = [c for c in context.unlimited if is_narrower(narrow[c.label, c.names])]
     level = float(context.loss(state.windows.held_out, state.effects).mean())
-    if level < (FLOOR if context.sim.velocities else SLOPED_FLOOR) or not anything:
+    floor = FLOOR if context.sim.velocities else SLOPED_FLOOR
+    if level < floor or not anything or judges_forces(state.windows.held_out):
         return None, ()
     context.progress("trying what is not plausible", 0.89)
     context = replace(context, candidates=anything)

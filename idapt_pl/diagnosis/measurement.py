@@ -28,8 +28,7 @@ def measure_intervals(context: SearchContext, state: SearchState) -> SearchState
     windows = state.windows.fit
     fit = context.fit(windows, state.fixed, state.candidates, state.estimates, 8, exact=True)
     state = state.with_estimates(fit.x)
-    episodes = windows.windows.episode
-    V, clusters = covariance(fit.solution, episodes), len(np.unique(episodes))
+    V, clusters = covariance(fit.solution, windows.clusters), len(np.unique(windows.clusters))
     by_chance = student.ppf(0.975, max(clusters - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0))
     unknown = unknown_variance(fit.solution, systematic_changes(context, state))
     width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown))

@@ -23,12 +23,15 @@ class Noise:
     """Standard deviations: of every compared channel, and of the first state of a window (2 nv,).
 
     ``systematic`` are errors that are the same in all recordings, each as an effect of one standard deviation.
-    Intervals of estimates allow for them; they are not looked for.
+    Intervals of estimates allow for them; they are not looked for. ``forces`` (nv,) are what nothing explains of those
+    on each degree of freedom, where a search judges by forces (:mod:`~idapt_pl.diagnosis.unexplained_forces`), else
+    None.
     """
 
     sensors: np.ndarray
     start: np.ndarray
     systematic: Effects = ()
+    forces: np.ndarray | None = None
 
 
 def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:

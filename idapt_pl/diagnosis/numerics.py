@@ -11,6 +11,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.candidates import numerics_candidates
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
 from idapt_pl.effects.world import Numerics
 from idapt_pl.estimation.intervals import paired_gain
@@ -30,7 +31,7 @@ def retest_numerics(context: SearchContext, state: SearchState) -> SearchState:
         The state with them, whitened again and refitted, or the same where none is clearly better.
     """
     context.progress("numerics", 0.08)
-    if not context.settings.numerics or context.numerics_declared:
+    if not context.settings.numerics or context.numerics_declared or judges_forces(state.windows.fit):
         return state
     best = best_numerics(context, state)
     if best is None:

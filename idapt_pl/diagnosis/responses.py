@@ -46,7 +46,7 @@ class Responses:
             any_model: take what was simulated under whatever model.
         """
         w = split.windows
-        key = b"".join(x.tobytes() for x in (w.episode, w.start, w.offsets))
+        key = type(split).__name__.encode() + b"".join(x.tobytes() for x in (w.episode, w.start, w.offsets))
         return ResponsesNow(self, split, Base(key, residual), any_model)
 
     def find(self, key: Hashable) -> tuple[Base, np.ndarray] | None:

@@ -163,7 +163,10 @@ class ChannelError:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Prediction errors on held-out episodes, in standard deviations of the measurement noise.
+    """Errors on held-out episodes, in standard deviations of the measurement noise.
+
+    Where that is negligible (:mod:`~idapt_pl.diagnosis.unexplained_forces`) they are of forces, not of forecasts, in
+    units of the force that nothing explains.
 
     Attributes:
         steps: control steps in a window.
@@ -176,11 +179,11 @@ class ErrorTable:
         ceiling: of the model as it was given, corrected by a black box.
         removed_share: of the removable squared error.
         black_box_could_still_remove: share of the squared error left that state and commands predict.
-        channels: errors in their own units, by channel.
+        channels: errors of forecasts in their own units, by channel.
+        unexplained: force that nothing explains, by channel, in N·m or N, where errors are of forces; else empty.
     """
 
     NOISE_FLOOR: ClassVar[float] = 1.0
-    UNIT: ClassVar[str] = "standard deviations of the measurement noise"
     SPLIT: ClassVar[str] = "held-out episodes"
 
     steps: int
@@ -194,17 +197,25 @@ class ErrorTable:
     removed_share: float
     black_box_could_still_remove: float
     channels: Mapping[str, ChannelError]
+    unexplained: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def yardstick(self) -> str:
+        """What the errors are in units of, in words."""
+        return "the force that nothing explains" if self.unexplained else "the measurement noise"
 
     @property
     def metric(self) -> str:
         """What the errors are, in words."""
+        if self.unexplained:
+            return "rms of the force that the model lacks (Huber, 4 sigma), single control steps"
         return f"rms of the whitened prediction error (Huber, 4 sigma), windows of {self.steps} control steps"
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
         return {
             "metric": self.metric,
-            "unit": self.UNIT,
+            "unit": f"standard deviations of {self.yardstick}",
             "split": self.SPLIT,
             "fit_episodes": list(self.fit_episodes),
             "held_out_episodes": list(self.held_out_episodes),
@@ -217,6 +228,7 @@ class ErrorTable:
             "removed_share": self.removed_share,
             "black_box_could_still_remove": self.black_box_could_still_remove,
             "per_channel": {name: c.to_dict() for name, c in self.channels.items()},
+            "unexplained_force": dict(self.unexplained),
         }
 
 

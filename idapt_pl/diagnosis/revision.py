@@ -19,6 +19,7 @@ from idapt_pl.diagnosis.acceptance import (
 )
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.replay import worse_replays
@@ -143,11 +144,13 @@ def without_if_needless(context: SearchContext, state: SearchState, effect: Acce
     rest = refit_accepted(context, state.without(effect))
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
-    needless = gain < max(s.relative_gain * float(without.mean()), s.sureness * error)
+    by_forces = judges_forces(held_out)  # few instants tell of forces, replays nothing, and all joints have friction
+    share = s.relative_gain / (context.sim.model.nv if by_forces else 1)
+    needless = gain < max(share * float(without.mean()), 0.0 if by_forces else s.sureness * error)
     slight = effect is not state.accepted[0] and too_small_a_change(
         effect.candidate, effect.x, gain, float(without.mean())
     )
-    doubtful = s.plausible and gain < CLEAR_GAIN * float(without.mean())
+    doubtful = s.plausible and not by_forces and gain < CLEAR_GAIN * float(without.mean())
     if not (needless or slight or (doubtful and worse_replays(context, state, rest))):
         return None
     log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
@@ -162,7 +165,7 @@ def one_gain_for_many(context: SearchContext, state: SearchState) -> SearchState
     known = {a.candidate.label for a in state.accepted}
     gains = [c for c in context.candidates if c.kind is ActuatorGain and c.label not in known]
     gain = next((c for c in gains if c.target == "*" or context.sim.model.nu == 1), None)
-    if len(state.accepted) < 3 or gain is None:
+    if len(state.accepted) < 3 or gain is None or judges_forces(state.windows.fit):
         return state
     round = 1 + max(a.round for a in state.accepted)
     wider = replace(state, accepted=(*state.accepted, AcceptedEffect(round, gain, np.array(gain.nominal, float))))

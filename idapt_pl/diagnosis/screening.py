@@ -10,6 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidate_fit import parameter_box
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.force_look import acts_as_force, has_play, responses_by_forces
+from idapt_pl.diagnosis.force_windows import NO_SAY, judges_forces
 from idapt_pl.diagnosis.periodogram import periodic_starts
 from idapt_pl.diagnosis.responses import Responses
 from idapt_pl.diagnosis.search_state import SearchState
@@ -52,12 +53,15 @@ def screen_candidates(
     step = first_look_step(context, state)
     scout = ScoreTest(context, state, state.windows.scout, step, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
-    considered = [c for c in context.candidates if (c.label, c.names) not in known]
+    silent = NO_SAY if judges_forces(state.windows.scout) else ()
+    considered = [
+        c for c in context.candidates if (c.label, c.names) not in known and not (silent and issubclass(c.kind, silent))
+    ]
 
     def simulate(c: Candidate) -> Trial:
         return scout.score(c, starts_of(context, scout, state.windows.scout, c), round)
 
-    many = len(considered) > MANY and not has_play(state)
+    many = len(considered) > MANY and not has_play(state) and not judges_forces(state.windows.scout)
     trials = simulate_the_best(context, state, considered, simulate) if many else [*map(simulate, considered)]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
@@ -102,7 +106,7 @@ def starts_of(
     context: SearchContext, test: ScoreTest, split: WhitenedWindows, c: Candidate
 ) -> Sequence[tuple[float, ...]]:
     """Places to start a fit from: those of the candidate, or what the residual says of a torque that repeats."""
-    if c.kind is not JointCogging:
+    if c.kind is not JointCogging or judges_forces(split):
         return c.starts
     return periodic_starts(context.sim, split.windows, c, test.left, test.change_now)
 
@@ -140,8 +144,8 @@ class ScoreTest:
         any_model: bool = False, respond: Callable[[Effect], np.ndarray] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self.state, self.split, self.respond = context.settings, state, split, respond
-        self.residual: Callable[[Effects], np.ndarray] = lambda e: context.sim.residual(
-            context.with_coarse_numerics(e, step) if step else e, split.windows
+        self.residual: Callable[[Effects], np.ndarray] = lambda e: split.unwhitened(
+            context.sim, context.with_coarse_numerics(e, step) if step else e
         )
         z, self.base = context.whitened(split, state.effects), self.residual(state.effects)
         self.responses = (context.responses if step else Responses()).under(split, self.base, any_model)

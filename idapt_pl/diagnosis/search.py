@@ -13,6 +13,7 @@ from idapt_pl.diagnosis.acceptance import accept, confirm
 from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.last_resort import try_implausible
 from idapt_pl.diagnosis.law_search import search_laws
 from idapt_pl.diagnosis.laws import add_laws
@@ -37,6 +38,8 @@ from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.summary import summarise_search
 from idapt_pl.diagnosis.taking_apart import single_for_shared
 from idapt_pl.diagnosis.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.unexplained_forces import HOPELESS, beyond_noise, judge_by_noise
+from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
 from idapt_pl.effects.base import Effect
 from idapt_pl.estimation.stepwise import forward_selection
 
@@ -69,6 +72,11 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """One of the four verdicts."""
         return self.result.verdict
+
+    @property
+    def by_forces(self) -> bool:
+        """Whether models were judged by forces, not by forecasts."""
+        return judges_forces(self.state.windows.fit)
 
     @property
     def report(self) -> dict:
@@ -129,7 +137,9 @@ def judge(context: SearchContext, progress: Progression) -> Diagnosis:
     """What a search came to: do effects change, and how good is the repaired model?"""
     state, trials = progress
     context.progress("judging", 0.95)
-    if context.settings.thorough:
+    if context.settings.thorough and judges_forces(state.windows.fit):
+        result = summarise_search(context, state, trials)
+    elif context.settings.thorough:
         changes, state = find_changes(context, state)
         result = replace(summarise_search(context, state, trials), changes=changes)
     else:
@@ -144,7 +154,8 @@ def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
     Where the first law is made of effects of the library, the search goes on with these (once) before there are laws.
     """
     context, started = found.context, time.perf_counter()
-    search = None if changes_over_recordings(found.result.changes) else search_laws(context, found.state)
+    ended = changes_over_recordings(found.result.changes) or judges_forces(found.state.windows.fit)
+    search = None if ended else search_laws(context, found.state)
     if search is None:
         return found
     other = explained_by_library(context, found.state, search.hint) if search.hint and not again else None
@@ -158,6 +169,9 @@ def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
     return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
 
+FIRST_EFFECTS = 3
+"""After so many a search looks whether it gets anywhere."""
+
 REVISIONS = 3
 """How often effects are added again, where reopened choices changed what was found."""
 
@@ -169,8 +183,12 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
     if not context.settings.thorough:
         state, trials = add_effects(context, (retest_numerics(context, state), ()))
+        if beyond_noise(context, state):
+            state, trials = search_by_forces(context, (state, trials))
         return keep_sure(context, eliminate_needless(context, state)), trials
     state, trials = select_and_revise(context, (retest_numerics(context, state), ()))
+    if beyond_noise(context, state):
+        state, trials = search_by_forces(context, (state, trials))
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
@@ -184,16 +202,16 @@ def settle(context: SearchContext, state: SearchState) -> SearchState:
     return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state)))
 
 
-def select_and_revise(context: SearchContext, progress: Progression) -> Progression:
-    """Add effects until none helps, then reopen earlier choices; where one of these changed, add again.
+def select_and_revise(context: SearchContext, progress: Progression, most: int | None = None) -> Progression:
+    """Add effects until none helps (``most`` each time), then reopen earlier choices; where one changed, add again.
 
     What was hidden behind a wrong first choice shows once that is put right.
     """
     for revision in range(REVISIONS):
         before = level(context, progress[0])
-        progress = add_effects(context, progress)
+        progress = add_effects(context, progress) if most is None else add_one_by_one(context, progress, most)
         state, trials = progress
-        if not state.accepted:
+        if not state.accepted or beyond_noise(context, state, HOPELESS):
             break
         if revision and far_from_explained(context, state) and level(context, state) > 0.9 * before:
             return eliminate_needless(context, state), trials  # little came, and reopening what is far takes long
@@ -204,12 +222,32 @@ def select_and_revise(context: SearchContext, progress: Progression) -> Progress
     return progress
 
 
+def add_effects(context: SearchContext, progress: Progression) -> Progression:
+    """Add effects one by one, unless the first of them show that this leads nowhere."""
+    most = context.settings.max_effects - len(progress[0].accepted)
+    found = add_one_by_one(context, progress, min(most, FIRST_EFFECTS))
+    taken = len(found[0].accepted) - len(progress[0].accepted)
+    if taken < FIRST_EFFECTS or beyond_noise(context, found[0], HOPELESS):
+        return found
+    return add_one_by_one(context, found, most - taken)
+
+
+def search_by_forces(context: SearchContext, progress: Progression) -> Progression:
+    """A search that begins anew with what every joint has, judged by forces; the same where it comes to no better."""
+    old = progress[0]
+    begun = begin_with_usual_causes(context, replace(old, accepted=()))
+    state, trials = select_and_revise(context, (begun, ()), FIRST_EFFECTS)
+    if level(context, replace(state, accepted=old.accepted)) < level(context, state):
+        return progress
+    return judge_by_noise(context, state), trials
+
+
 def labels(state: SearchState) -> list[str]:
     """Of what was accepted."""
     return sorted(c.label for c in state.candidates)
 
 
-def add_effects(context: SearchContext, progress: Progression) -> Progression:
+def add_one_by_one(context: SearchContext, progress: Progression, most: int) -> Progression:
     """Greedy forward search, as long as there is something to add."""
 
     def add_effect(before: Progression, taken: int) -> tuple[Progression, bool]:
@@ -227,7 +265,7 @@ def add_effects(context: SearchContext, progress: Progression) -> Progression:
         state = refit_accepted(context, renew(context, found))
         return (retest_numerics(context, state), trials), True
 
-    return forward_selection(progress, add_effect, context.settings.max_effects - len(progress[0].accepted))
+    return forward_selection(progress, add_effect, most)
 
 
 def as_accepted(t: Trial, found: SearchState | None) -> Trial:

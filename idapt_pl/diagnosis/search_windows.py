@@ -8,6 +8,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows, sample_windows
+from idapt_pl.diagnosis.force_windows import judged_by_forces
 from idapt_pl.diagnosis.noise import Noise, estimate_noise
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.whitening import (
@@ -93,17 +94,22 @@ def whiten_windows(
         context: of the search.
         structure: of the model.
         effects: all of the model's.
-        noise: as it was taken to be so far. It is estimated again, unless it is given.
+        noise: as it was taken to be so far. It is estimated again, unless it is given, or forces are judged.
         known: sensitivities so far. They are dear, so they are kept while the model is much the same.
     """
-    if known is None or not still_hold(context, known, structure, effects, noise):
-        known = measure_sensitivity(context, structure, effects, noise)
     sim, s, possible = context.sim, context.settings, affordable_windows(context, structure.fixed)
-    noise = context.known_noise or estimate_noise(sim, effects, context.probe)
-    fit = WhitenedWindows(known.fit, whitener(known.at_fit, noise, sim.compared))
-    held_out = WhitenedWindows(known.held_out, whitener(known.at_held_out, noise, sim.compared))
-    rows = np.random.default_rng(context.seed).permutation(len(known.fit))
-    few, fewer = (max(30, int(n * possible)) for n in (s.screen_windows, s.scout_windows))
+    fit: WhitenedWindows
+    held_out: WhitenedWindows
+    if known is not None and noise.forces is not None:
+        fit, held_out = (judged_by_forces(w, noise.forces) for w in (known.fit, known.held_out))
+    else:
+        if known is None or not still_hold(context, known, structure, effects, noise):
+            known = measure_sensitivity(context, structure, effects, noise)
+        noise = context.known_noise or estimate_noise(sim, effects, context.probe)
+        fit = WhitenedWindows(known.fit, whitener(known.at_fit, noise, sim.compared))
+        held_out = WhitenedWindows(known.held_out, whitener(known.at_held_out, noise, sim.compared))
+    rows, each = np.random.default_rng(context.seed).permutation(len(fit.windows)), len(fit.windows) // len(known.fit)
+    few, fewer = (each * max(30, int(n * possible)) for n in (s.screen_windows, s.scout_windows))
     return SearchWindows(noise, known, fit, fit[np.sort(rows[:few])], fit[np.sort(rows[:fewer])], held_out)
 
 

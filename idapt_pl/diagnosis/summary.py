@@ -10,6 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.advice import next_experiment
 from idapt_pl.diagnosis.black_box import predictable_share
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.remaining import describe_measurement, remaining_explanations
 from idapt_pl.diagnosis.result import (
     Alternative,
@@ -43,6 +44,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
     removable = predictable_share(context, state.windows, context.declared, nominal)
     left = predictable_share(context, state.windows, state.effects, final)
     verdict = decide(context, state, before, after, robust_loss(final), left)
+    tells = verdict is Verdict.UNEXPLAINED_RESIDUAL and not judges_forces(state.windows.fit)
     error = ErrorTable(
         steps=context.steps,
         horizon_s=round(context.horizon, 6),
@@ -55,6 +57,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         removed_share=round(removed_share(before, after), 4),
         black_box_could_still_remove=round(max(left, 0.0), 4),
         channels=physical_errors(context, state),
+        unexplained=unexplained_force_of(context, state),
     )
     estimates = [estimate_of(context, state, a) for a in state.accepted]
     return DiagnosisResult(
@@ -63,7 +66,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         effects=in_order_of_trust([*estimates, *found_numerics(context, state)]),
         declared=context.declared,
         candidates=rejected_candidates(trials),
-        signature=residual_signature(context, state, final) if verdict is Verdict.UNEXPLAINED_RESIDUAL else "",
+        signature=residual_signature(context, state, final) if tells else "",
         next_experiment=next_experiment(context, state, verdict),
         explanations=remaining_explanations(
             context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.model, a)]
@@ -84,7 +87,7 @@ def significant(value: float, digits: int) -> float:
 
 def physical_errors(context: SearchContext, state: SearchState) -> dict[str, ChannelError]:
     """Root mean square residuals of the held-out windows in each channel that is compared, in its unit."""
-    sim, windows = context.sim, state.windows.held_out.windows
+    sim, windows = context.sim, state.windows.sensitivity.held_out
     residuals = (sim.residual(effects, windows) for effects in (context.declared, state.effects))
     rms = (np.sqrt(np.square(r).mean((0, 1))) for r in residuals)
     rows = zip(sim.channels, *rms, state.windows.noise.sensors, channel_units(sim), sim.compared, strict=True)
@@ -93,6 +96,16 @@ def physical_errors(context: SearchContext, state: SearchState) -> dict[str, Cha
         for name, before, after, noise, unit, compared in rows
         if compared
     }
+
+
+def unexplained_force_of(context: SearchContext, state: SearchState) -> dict[str, float]:
+    """Force that nothing explains, by channel, where models are judged by it; else empty."""
+    forces = state.windows.noise.forces
+    return (
+        {}
+        if forces is None
+        else {name: significant(v, 3) for name, v in zip(context.sim.channels, forces, strict=False)}
+    )
 
 
 def channel_units(sim: Simulator) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,8 +83,17 @@ class WhitenedWindows:
     W: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> WhitenedWindows:
-        return WhitenedWindows(self.windows[rows], self.W[rows])
+        return replace(self, windows=self.windows[rows], W=self.W[rows])
+
+    @property
+    def clusters(self) -> np.ndarray:
+        """Windows within which noise may be dependent, by a number each, (n,): those of an episode."""
+        return self.windows.episode
+
+    def unwhitened(self, sim: Simulator, effects: Effects) -> np.ndarray:
+        """What is whitened: what was measured minus what is predicted, (n, j, channels)."""
+        return sim.residual(effects, self.windows)
 
     def residual(self, sim: Simulator, effects: Effects) -> np.ndarray:
         """Whitened residuals under some effects, (n, rows)."""
-        return whiten(self.W, sim.residual(effects, self.windows))
+        return whiten(self.W, self.unwhitened(sim, effects))

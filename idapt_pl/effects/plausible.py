@@ -138,6 +138,9 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_deadzone", "width"): Plausible(
         0.0, 0.5, "of the largest command", "a motor that ignores half of its commands is broken"
     ),
+    ("actuator_saturation", "limit"): Plausible(
+        0.1, np.inf, "of the largest command", "a motor that does a tenth of what it is told is broken"
+    ),
     ("actuator_delay", "delay"): Plausible(0.0, 0.2, "", LATE),
     ("actuator_lag", "time_constant"): Plausible(0.0, 0.3, "", LATE),
     ("sensor_bias", "bias"): Plausible(-0.35, 0.35, "", "zeros are set by eye; beyond 20° it is seen at once"),
@@ -169,12 +172,13 @@ RARITY = {
     "sensor_gain": 0.05,
     "fluid_drag": 0.03,
     "joint_cogging": 0.03,
+    "actuator_deadzone": 0.05,
     "actuator_rotation": 0.05,
 }
 """Share of its gain by which a rare cause must be better than a common one: such effects imitate much.
 
 Friction, masses, gains and delays are off on nearly every machine. Sensors that are, unseen hands, a medium that nobody
-knows of and crossed wires are not."""
+knows of, motors deaf to small commands and crossed wires are not."""
 
 
 def plausible_range(effect: str, parameter: str, nominal: float) -> Plausible | None:

@@ -89,8 +89,13 @@ def error_section(result: DiagnosisResult) -> str:
         "Error on episodes not used for fitting",
         table(("", "#error", ""), (row(name, f"#{format_number(v)}", what) for name, v, what in error_rows(result))),
         paragraph(
-            f"In {error.UNIT}: {error.metric} ({format_number(error.horizon_s)} s), each predicted from its first "
-            f"measured state. Judged on {episode_list(error.held_out_episodes)}.",
+            f"In standard deviations of {error.yardstick}: {error.metric}"
+            + (
+                ""
+                if error.unexplained
+                else f" ({format_number(error.horizon_s)} s), each from its first measured state"
+            )
+            + f". Judged on {episode_list(error.held_out_episodes)}.",
             "small",
         ),
     )

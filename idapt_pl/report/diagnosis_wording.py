@@ -48,8 +48,20 @@ def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str
         Verdict.UNEXPLAINED_RESIDUAL: unexplained_sentences,
         Verdict.INSUFFICIENT_EXCITATION: quiet_sentences,
     }
-    said = [*makers[result.verdict](result, model), *undecided_sentences(result.effects)]
-    return [*said, *implausible_sentences(result)]
+    said = [*makers[result.verdict](result, model), *judged_by_force_sentences(result)]
+    return [*said, *undecided_sentences(result.effects), *implausible_sentences(result)]
+
+
+def judged_by_force_sentences(result: DiagnosisResult) -> list[str]:
+    """That forecasts were not what models were judged by, and what counts as 1."""
+    forces = result.error.unexplained
+    if not forces:
+        return []
+    each = ", ".join(f"{format_number(v)} at {name}" for name, v in forces.items())
+    return [
+        "The sensors are so good that every model is off by far more than their noise. So models are judged by the "
+        f"force that each leaves unexplained, as in identification by inverse dynamics. 1 is, in N·m or N: {each}."
+    ]
 
 
 # --- what each verdict says -----------------------------------------------------------------------------
@@ -62,7 +74,7 @@ def found_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]
 
 def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """That the model is as good as the data can show."""
-    level = f"The error is {format_number(result.error.after)} times the measurement noise"
+    level = f"The error is {format_number(result.error.after)} times {result.error.yardstick}"
     good = (
         "; 1 is as good as can be."
         if result.error.after < 1.3
@@ -79,7 +91,7 @@ def unexplained_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> lis
     """What was found all the same, and that it does not suffice; or that a law of force does."""
     if result.laws is not None and result.laws.found:
         return with_law_sentences(result, model)
-    level = f"{format_number(result.error.after)} times the measurement noise"
+    level = f"{format_number(result.error.after)} times {result.error.yardstick}"
     if not result.effects:
         return [
             f"The model lacks something, and no effect of the library explains it: the error is {level} on episodes "
@@ -120,7 +132,7 @@ def gain_sentence(result: DiagnosisResult) -> str:
     removes = f"removes {percent} of the removable error" if error.removed_share > 0 else "changes the error"
     return (
         f"Adding {them} {removes} on episodes not used for fitting: from {format_number(error.before)} "
-        f"to {format_number(error.after)} times the measurement noise."
+        f"to {format_number(error.after)} times {error.yardstick}."
     )
 
 
@@ -203,7 +215,7 @@ def error_rows(result: DiagnosisResult) -> list[tuple[str, float, str]]:
     return [
         ("before", error.before, given),
         ("after", error.after, "with the effects found" if result.effects else "the same: nothing was added"),
-        ("noise floor", ErrorTable.NOISE_FLOOR, "a perfect model: what the measurement noise alone leaves"),
+        ("noise floor", ErrorTable.NOISE_FLOOR, f"a perfect model: {error.yardstick} alone"),
         ("ceiling", error.ceiling, "the given model, corrected by a black box (a regression on state and commands)"),
     ]
 

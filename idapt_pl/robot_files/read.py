@@ -12,7 +12,7 @@ import mujoco
 from idapt_pl.diagnosis.model import name_elements, read_model
 from idapt_pl.effects.compile_time import write_out_masses
 from idapt_pl.robot_files.actuators import DeclaredActuator, add_actuators
-from idapt_pl.robot_files.urdf import driven_joints, prepare_urdf
+from idapt_pl.robot_files.urdf import joints_with_drives, prepare_urdf
 
 LARGEST_FILE = 50_000_000
 """Bytes."""
@@ -69,7 +69,7 @@ def read_urdf(path: Path, notes: list[str]) -> tuple[mujoco.MjSpec, list[str]]:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it is larger than {LARGEST_FILE // 10**6} MB")
         root = ET.parse(path).getroot()
-        driven = driven_joints(root)
+        driven = joints_with_drives(root)
         notes += prepare_urdf(root, path.resolve().parent)
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
         spec.compile()

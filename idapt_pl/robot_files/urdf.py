@@ -57,7 +57,7 @@ def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
     return notes
 
 
-def driven_joints(root: ET.Element) -> list[str]:
+def joints_with_drives(root: ET.Element) -> list[str]:
     """Joints that a URDF says are driven, by its transmissions or commands of ros2_control, in its order."""
     joints = [j for t in root.findall("transmission") for j in t.iter("joint")]
     joints += [

@@ -92,7 +92,7 @@ def test_the_diagnosis_is_repeated_without_what_was_found_and_tells_what_came_ou
         def __init__(self, data):
             given.append(sum(int(marked_steps(e).sum()) for e in data))
             self.sim, self.effects = simulator("pendulum", data), ()
-            self.result = type("Result", (), {"effects": ()})()
+            self.result, self.by_forces = type("Result", (), {"effects": ()})(), False
             self.verdict = type("Verdict", (), {"value": "no_missing_effect"})()
 
     out, report = diagnose_stretches(Found, data)

@@ -1,0 +1,122 @@
+"""Where sensors are nearly perfect, models are judged by forces: each joint's friction is found, and no huge rotor."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from datamodules import Episode, Trajectories
+from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
+from idapt_pl.diagnosis.unexplained_forces import beyond_noise, unexplained_forces
+from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+from idapt_pl.report.diagnosis_wording import verdict_in_words
+
+ARM = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body pos="0 0 1"><joint name="shoulder" axis="0 1 0"/><geom type="capsule" size="0.05"
+fromto="0 0 0 0 0 -0.5" mass="4"/><body pos="0 0 -0.5"><joint name="elbow" axis="0 1 0"/><geom type="capsule"
+size="0.03" fromto="0 0 0 0 0 -0.4" mass="1"/></body></body></worldbody>
+<actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator></mujoco>"""
+TRUE = (
+    JointDamping("shoulder", 12.0), JointFrictionloss("shoulder", 8.0), JointDamping("elbow", 3.0),
+    JointFrictionloss("elbow", 2.0),
+)  # fmt: skip
+DT, STEPS = 0.008, 500
+
+
+def spec_of(effects=()):
+    spec = mujoco.MjSpec.from_string(ARM)
+    for e in effects:
+        e.apply(spec)
+    return spec
+
+
+def recorded(effects=TRUE, ripple=0.5, noise=1e-8, episodes=4):
+    """A slow motion under a controller; a torque by the other joint's angle and the time belongs to no effect."""
+    rng, model, made = np.random.default_rng(0), spec_of(effects).compile(), []
+    for _ in range(episodes):
+        data = mujoco.MjData(model)
+        phase, rate = rng.uniform(0, 6.28, (2, 3)), rng.uniform(0.8, 3.5, (2, 3))
+        wanted = lambda t, p=phase, r=rate: (0.35 * (np.sin(r * t + p) - np.sin(p))).sum(1)  # noqa: E731
+        q, v, u = [data.qpos.copy()], [data.qvel.copy()], []
+        for k in range(STEPS):
+            t = (k + 1) * DT
+            speed = (wanted(t) - wanted(t - DT)) / DT
+            u.append(np.array([300.0, 80.0]) * (wanted(t) - data.qpos) + np.array([20.0, 5.0]) * (speed - data.qvel))
+            data.ctrl[:] = u[-1]
+            for _ in range(4):
+                data.qfrc_applied[:] = ripple * np.array([4.0, 1.0]) * np.sin(5 * data.qpos[::-1] + 2 * data.time)
+                mujoco.mj_step(model, data)
+            q.append(data.qpos.copy())
+            v.append(data.qvel.copy())
+        q, v = (np.stack(x) + noise * rng.normal(size=(STEPS + 1, 2)) for x in (q, v))
+        made.append(Episode(np.stack(u).astype(np.float32), {"qpos": q, "qvel": v}))
+    return Trajectories(tuple(made), DT, "a simulated arm")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return recorded()
+
+
+def found(out):
+    return {(e["effect"], e["target"]): e["parameters"] for e in out.report["effects"]}
+
+
+def test_the_right_model_lacks_no_force_and_the_nominal_one_what_was_hidden():
+    hidden = (JointDamping("shoulder", 12.0), JointArmature("elbow", 0.3))
+    context, _ = begin_search(spec_of(), recorded(hidden, ripple=0.0), threads=1)
+    instants = Windows(np.repeat([0, 2], 200), np.tile(np.arange(50, 250), 2), np.ones(1, int))
+    right, nominal = (lacking_forces(context.sim, e, instants) for e in (hidden, ()))
+    assert np.abs(right).max() < 0.02 * np.abs(nominal).max()
+    speed = np.concatenate([context.sim.data[e].qvel[50:250] for e in (0, 2)])
+    # damping brakes: what the model without it lacks points against the motion
+    slope = np.polyfit(speed[:, 0], nominal[:, 0], 1)[0]
+    assert slope == pytest.approx(-12.0, rel=0.02)
+
+
+def test_forces_count_in_units_of_what_nothing_explains(arm):
+    context, state = begin_search(spec_of(), arm, threads=1)
+    split = judged_by_forces(state.windows.fit.windows, np.array([2.0, 0.5]))
+    assert judges_forces(split) and not judges_forces(state.windows.fit)
+    assert len(split.windows) == len(instants_of(state.windows.fit.windows))
+    forces = lacking_forces(context.sim, TRUE, split.windows)
+    np.testing.assert_allclose(split.residual(context.sim, TRUE), forces / [2.0, 0.5])
+    part = split[np.arange(5)]
+    np.testing.assert_allclose(part.residual(context.sim, TRUE), (forces / [2.0, 0.5])[:5])
+
+
+def test_what_nothing_explains_is_far_less_than_what_is_missing(arm):
+    context, state = begin_search(spec_of(), arm, threads=1)
+    size = unexplained_forces(context, state)
+    missing = np.sqrt(np.square(lacking_forces(context.sim, (), instants_of(state.windows.fit.windows))).mean(0))
+    assert (size < 0.3 * missing).all() and (size > 0).all()
+
+
+def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm):
+    out = diagnose(spec_of(), arm, threads=1)
+    assert judges_forces(out.state.windows.fit)
+    what = found(out)
+    for e in TRUE:
+        (value,) = (p["estimate"] for p in what[e.name, e.target].values())
+        (true,) = (v for k, v in e.to_dict()["parameters"].items() if k in what[e.name, e.target])
+        assert value == pytest.approx(true, rel=0.25), e
+    assert not any(name == "joint_armature" for name, _ in what)
+    assert out.report["error"]["unexplained_force"].keys() == {"shoulder", "elbow"}
+    assert out.report["error"]["after"] < 0.5 * out.report["error"]["before"]
+    text = " ".join(verdict_in_words(out.result, out.sim.model))
+    assert "the force that nothing explains" in text and "measurement noise" not in text
+
+
+def test_perfect_recordings_of_one_missing_effect_are_judged_by_noise():
+    data = recorded((JointDamping("shoulder", 12.0),), ripple=0.0, noise=1e-7, episodes=3)
+    quick = replace(DEFAULT_SETTINGS, thorough=False, max_effects=2)
+    out = diagnose(spec_of(), data, threads=1, settings=quick)
+    assert list(found(out)) == [("joint_damping", "shoulder")]
+    assert not judges_forces(out.state.windows.fit) and not beyond_noise(out.context, out.state)
+    assert out.report["error"]["unexplained_force"] == {}
