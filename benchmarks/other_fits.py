@@ -150,7 +150,6 @@ def sysid_fit(
     from mujoco import sysid
 
     sim, singles = context.sim, single_numbers(context)
-    held_out = state.windows.held_out.windows
     params = sysid.ParameterDict()
     for c in singles:
         # in units of what is noticeable: the fit stalls where units differ widely or bounds are far apart
@@ -193,5 +192,5 @@ def sysid_fit(
     change = fitted.as_vector()
     x = np.array([c.nominal[0] + c.scale[0] * v for c, v in zip(singles, change, strict=True)])
     _, interval = sysid.calculate_intervals(columns(change, params)[0], result.jac)
-    after = held_out_error(state, sim.residual(effects_of(singles, x[:, None]), held_out))
-    return SysidFit(singles, change, interval, after)
+    left = context.loss(state.windows.held_out, (*context.declared, *effects_of(singles, x[:, None])))
+    return SysidFit(singles, change, interval, float(np.sqrt(left.mean())))

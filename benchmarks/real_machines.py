@@ -4,14 +4,15 @@
     git clone https://github.com/unisa-acg/inverse-dynamics-solver CLONES/inverse_dynamics_solver
     pip download --no-deps robosuite==1.5.2 && unzip -qd CLONES/robosuite robosuite-*.whl
     git clone https://github.com/dfki-ric-underactuated-lab/ricmonk CLONES/ricmonk
+    git clone https://github.com/thanhndv212/figaroh-examples CLONES/figaroh_examples
     pip install "idapt[benchmarks]"
     python benchmarks/real_machines.py CLONES [--sets pendulum] [--report DIR]
 
 Files are imported with the map that `idapt import --draft-map` writes, unread, where names in the log are those of the
 model (else with the map that stands here), and diagnosed with all defaults but for which episodes are held out. Beside
 it, on the same windows: a plain fit, as by hand (damping, dry friction and rotor inertia of every joint at once),
-CMA-ES over what PACE fits, and mujoco.sysid on all single numbers. Errors are root mean squares of whitened predictions
-of held-out episodes. Writes results/real_machines.csv. Nothing of the recordings is committed.
+CMA-ES over what PACE fits, and mujoco.sysid on all single numbers (by forecasts). Errors are of held-out episodes: root
+mean squares of whitened forecasts, or of forces where noise is no yardstick. Writes results/real_machines.csv. Nothing of the recordings is committed.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +32,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import mujoco
 import numpy as np
+from scipy.signal import butter, filtfilt
 from tables import read_rows, write_rows
 
 from benchmarks.other_fits import by_hand, pace, sysid_fit
@@ -42,7 +45,7 @@ from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.robot_files import parse_actuators, read_robot
 
 FIELDS = (
-    "set", "episodes", "rows", "joints", "held_out", "before", "plain_fit", "pace", "sysid", "after", "verdict",
+    "set", "episodes", "rows", "joints", "held_out", "judged_by", "before", "plain_fit", "pace", "sysid", "after", "verdict",
     "found", "known", "seconds", "threads", "source", "commit",
 )  # fmt: skip
 
@@ -54,11 +57,12 @@ class Recorded:
     Attributes:
         clone: folder below that of the clones, a git repository; empty where it is none.
         files: of the recordings, below the clone.
-        model: MJCF or URDF, below the folder of clones or, of a repository, below the clone.
+        model: MJCF or URDF, below the folder of clones or the clone, or ``clone:path`` of another one.
         actuators: as of ``idapt diagnose --actuators``, for a model without.
         known: what is known about the truth.
         hold_out: numbers of the episodes to judge on; None for the default.
         map: a map, where the log has other names than the model; empty: a draft.
+        prepare: makes of the files, (and of the folder for it), a table that can be imported.
     """
 
     clone: str
@@ -68,6 +72,35 @@ class Recorded:
     known: str
     hold_out: tuple[int, ...] | None = None
     map: str = ""
+    prepare: Callable[[list[Path], Path], Path] | None = None
+
+
+TX40_RATIOS = (32.0, 32.0, 45.0, -48.0, 45.0, 32.0)
+TX40_JOINTS = [f"joint_{i}" for i in range(1, 7)]
+TX40_MAP = "time: {{column: t, unit: s}}\njoints:\n{}\nactuators:\n{}\n".format(
+    "\n".join(f"  {j}: {{position: q_{j}, velocity: v_{j}}}" for j in TX40_JOINTS),
+    "\n".join(f"  {j}: tau_{j}" for j in TX40_JOINTS),
+)
+
+
+def tx40_table(files: list[Path], folder: Path) -> Path:
+    """Motors' positions and torques at 5 kHz as the joints' at 200 Hz, as its publisher converts them.
+
+    Positions are low-passed at 100 Hz, velocities are their slopes, torques are means over what is left out. The sixth
+    motor turns with the fifth joint.
+    """
+    motors, torques = (np.loadtxt(f, delimiter=",", skiprows=1) for f in files)
+    gear = np.diag(TX40_RATIOS)
+    gear[5, 4] = TX40_RATIOS[5]
+    q = motors @ np.linalg.inv(gear).T + np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])
+    tau, every, dt = torques @ gear, 25, 1 / 5000
+    q = filtfilt(*butter(4, 100 * 2 * dt), q, axis=0)
+    rows = np.arange(every, len(q) - every, every)
+    means = np.stack([tau[k : k + every].mean(0) for k in rows])
+    header = ["t", *(f"{x}_{j}" for x in ("q", "v", "tau") for j in TX40_JOINTS)]
+    table = np.concatenate([rows[:, None] * dt, q[rows], np.gradient(q, dt, axis=0)[rows], means], 1)
+    np.savetxt(out := folder / "joints.csv", table, delimiter=",", header=",".join(header), comments="")
+    return out
 
 
 RICMONK_MAP = """
@@ -98,6 +131,16 @@ SETS = {
         "data/simulation_models/finalRicMonkCurrent.urdf", "motor",
         "it lets go and catches a bar; motors with gears 6:1", map=RICMONK_MAP,
     ),
+    "ur10": Recorded(
+        "inverse_dynamics_solver", ("ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3",),
+        "figaroh_examples:examples/ur10/urdf/ur10_robot.urdf", "motor", "",
+    ),
+    "tx40": Recorded(
+        "figaroh_examples", tuple(f"examples/staubli_TX40/data/{x}.csv" for x in ("pos_read_data", "curr_data")),
+        "examples/staubli_TX40/urdf/tx40_mdh_modified.urdf", "motor",
+        "published: damping 8.05 5.53 1.97 1.11 1.86 0.65, friction 7.14 8.26 6.34 2.48 3.03 0.28, rotor inertia 0.362 "
+        "0.362 0.099 0.031 0.047 0.011; joints 5 and 6 are coupled", map=TX40_MAP, prepare=tx40_table,
+    ),
     "panda": Recorded(
         "inverse_dynamics_solver", ("franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3",),
         "robosuite/robosuite/models/assets/robots/panda/robot.xml", None, "",
@@ -107,16 +150,18 @@ SETS = {
 
 def fetched(clones: Path, which: Recorded, folder: Path) -> tuple[list[Path], Path]:
     """The recordings and the model as files, those of a repository read out of its newest commit."""
-    clone = clones / which.clone
 
-    def taken(path: str) -> Path:
+    def taken(path: str, clone: Path = clones / which.clone) -> Path:
         out = folder / path.replace("/", "_")
         command = ["git", "-C", clone, "show", f"HEAD:{path}"]
         out.write_bytes(subprocess.run(command, check=True, capture_output=True).stdout)
         return out
 
-    model = clones / which.model
-    return [taken(f) for f in which.files], model if model.is_file() else taken(which.model)
+    model, (other, _, path) = clones / which.model, which.model.partition(":")
+    files = [taken(f) for f in which.files]
+    if which.prepare is not None:
+        files = [which.prepare(files, folder)]
+    return files, model if model.is_file() else taken(path, clones / other) if path else taken(which.model)
 
 
 def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
@@ -151,7 +196,8 @@ def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
     source = subprocess.run(commit, check=True, capture_output=True, text=True).stdout.strip()
     return {
         "set": name, "episodes": len(data), "rows": data.total_steps, "joints": out.sim.model.nv,
-        "held_out": " ".join(map(str, error["held_out_episodes"])), "before": error["before"],
+        "held_out": " ".join(map(str, error["held_out_episodes"])),
+        "judged_by": "forces" if out.by_forces else "forecasts", "before": error["before"],
         "plain_fit": round(by_hand(out.context, out.state), 4), "pace": round(pace(out.context, out.state), 4),
         "sysid": by_sysid(out, robot.spec), "after": error["after"], "verdict": out.report["verdict"],
         "found": " + ".join(found), "known": which.known, "seconds": round(seconds, 1), "threads": threads,
@@ -162,7 +208,8 @@ def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
 def by_sysid(out: Diagnosis, spec: mujoco.MjSpec) -> float | str:
     """Held-out error after mujoco.sysid; in words why there is none."""
     try:
-        return round(sysid_fit(out.context, out.state, out.state.windows.fit.windows, spec, "mujoco", 100).after, 4)
+        windows = out.state.windows.sensitivity.fit  # forecasts, where models are judged by forces too
+        return round(sysid_fit(out.context, out.state, windows, spec, "mujoco", 100).after, 4)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return f"failed: {' '.join(str(error).split())[:80]}"
 
