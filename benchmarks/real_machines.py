@@ -11,8 +11,9 @@
 Files are imported with the map that `idapt import --draft-map` writes, unread, where names in the log are those of the
 model (else with the map that stands here), and diagnosed with all defaults but for which episodes are held out. Beside
 it, on the same windows: a plain fit, as by hand (damping, dry friction and rotor inertia of every joint at once),
-CMA-ES over what PACE fits, and mujoco.sysid on all single numbers (by forecasts). Errors are of held-out episodes: root
-mean squares of whitened forecasts, or of forces where noise is no yardstick. Writes results/real_machines.csv. Nothing of the recordings is committed.
+CMA-ES over what PACE fits, and mujoco.sysid on all single numbers (by forecasts). Errors are of held-out episodes:
+root mean squares of whitened forecasts, or of forces where noise is no yardstick. Writes results/real_machines.csv.
+Nothing of the recordings is committed.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.robot_files import parse_actuators, read_robot
 
 FIELDS = (
-    "set", "episodes", "rows", "joints", "held_out", "judged_by", "before", "plain_fit", "pace", "sysid", "after", "verdict",
-    "found", "known", "seconds", "threads", "source", "commit",
+    "set", "episodes", "rows", "joints", "held_out", "judged_by", "before", "plain_fit", "pace", "sysid", "after",
+    "verdict", "found", "known", "seconds", "threads", "source", "commit",
 )  # fmt: skip
 
 

@@ -58,6 +58,18 @@ def test_nothing_is_found_in_rows_that_are_as_they_should_be(servo):
     assert found.counts == (0, 0, 0) and without_sequence_faults(data, found).episodes == data.episodes
 
 
+def begin_to_filter(q, v, u):
+    """Velocities as a filter shows them that begins at nothing while the arm moves."""
+    k = np.arange(len(v))[100:, None]
+    return q[100:], v[100:] * (1 - 0.93 ** (k - 99)), u[100:]
+
+
+def test_a_filter_that_has_just_begun_is_no_lost_rows(servo):
+    spec, data = servo
+    found = find_sequence_faults(spec.compile(), with_rows(data, begin_to_filter))
+    assert found.counts[0] == 0
+
+
 def test_lost_rows_get_their_time_back_and_are_left_out(servo):
     spec, data = servo
     faulty = with_rows(data, lose)
