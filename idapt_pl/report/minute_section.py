@@ -73,10 +73,15 @@ def differences_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> str:
 def matter_in_words(result: DiagnosisResult) -> str:
     """The errors before and after, in times of what is unavoidable."""
     before, after = (format_number(x, 2) for x in (result.error.before, result.error.after))
-    over = f"predictions over {format_number(result.error.horizon_s)} s"
+    over, unit = (
+        f"predictions over {format_number(result.error.horizon_s)} s",
+        "what the sensors' noise alone would make",
+    )
+    if result.error.unexplained:
+        over, unit = "the force that acts", result.error.yardstick
     if not result.effects:
-        return f"Errors of {over} are {after} times what the sensors' noise alone would make."
-    return f"Errors of {over} were {before} times what the sensors' noise alone would make; repaired, {after} times."
+        return f"Errors of {over} are {after} times {unit}."
+    return f"Errors of {over} were {before} times {unit}; repaired, {after} times."
 
 
 def sureness_in_words(result: DiagnosisResult, sim: Simulator) -> str:

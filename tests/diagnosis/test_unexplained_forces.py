@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
 from idapt_pl.diagnosis.unexplained_forces import beyond_noise, unexplained_forces
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.report.diagnosis_wording import verdict_in_words
+from idapt_pl.report.minute_section import matter_in_words
 
 ARM = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -110,7 +111,8 @@ def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm)
     assert out.report["error"]["unexplained_force"].keys() == {"shoulder", "elbow"}
     assert out.report["error"]["after"] < 0.5 * out.report["error"]["before"]
     text = " ".join(verdict_in_words(out.result, out.sim.model))
-    assert "the force that nothing explains" in text and "measurement noise" not in text
+    page = matter_in_words(out.result)
+    assert all("the force that nothing explains" in x and "noise alone" not in x for x in (text, page))
 
 
 def test_perfect_recordings_of_one_missing_effect_are_judged_by_noise():
