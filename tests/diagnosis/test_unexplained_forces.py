@@ -28,6 +28,7 @@ TRUE = (
     JointFrictionloss("elbow", 2.0),
 )  # fmt: skip
 DT, STEPS = 0.008, 500
+QUICK = replace(DEFAULT_SETTINGS, thorough=False, max_effects=2)
 
 
 def spec_of(effects=()):
@@ -100,8 +101,9 @@ def test_what_nothing_explains_is_far_less_than_what_is_missing(arm):
 
 
 def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm):
-    out = diagnose(spec_of(), arm, threads=1)
-    assert judges_forces(out.state.windows.fit)
+    kinds = ["joint_damping", "joint_frictionloss", "joint_armature", "joint_drag", "body_mass"]
+    out = diagnose(spec_of(), arm, threads=1, settings=QUICK, candidates=kinds)
+    assert out.by_forces and judges_forces(out.state.windows.fit)
     what = found(out)
     for e in TRUE:
         (value,) = (p["estimate"] for p in what[e.name, e.target].values())
@@ -117,8 +119,7 @@ def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm)
 
 def test_perfect_recordings_of_one_missing_effect_are_judged_by_noise():
     data = recorded((JointDamping("shoulder", 12.0),), ripple=0.0, noise=1e-7, episodes=3)
-    quick = replace(DEFAULT_SETTINGS, thorough=False, max_effects=2)
-    out = diagnose(spec_of(), data, threads=1, settings=quick)
+    out = diagnose(spec_of(), data, threads=1, settings=QUICK)
     assert list(found(out)) == [("joint_damping", "shoulder")]
     assert not judges_forces(out.state.windows.fit) and not beyond_noise(out.context, out.state)
     assert out.report["error"]["unexplained_force"] == {}
