@@ -160,6 +160,8 @@ def mend_inertials(root: ET.Element) -> list[str]:
             zero.append(name)
         elif moments[0] <= 0 or moments[0] + moments[1] < moments[2] * (1 - 1e-6):
             odd.append(name)
+        if inertial is not None and moments[0] <= 0:  # before it looks at bounds, MuJoCo refuses these
+            set_round_inertia(inertial, max(float(np.abs(moments).mean()), LEAST_INERTIA))
     compiler, notes = compiler_of(root), []
     if shaped:
         notes.append(
@@ -175,6 +177,14 @@ def mend_inertials(root: ET.Element) -> list[str]:
         compiler.attrib |= {"balanceinertia": "true"}
         notes.append(f"inertia of {name_list(odd)} is that of no body (A + B < C): the mean of the three is taken")
     return notes
+
+
+def set_round_inertia(inertial: ET.Element, value: float) -> None:
+    """Give a link the same moment of inertia [kg·m²] about all axes."""
+    for element in inertial.findall("inertia"):
+        inertial.remove(element)
+    off = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    ET.SubElement(inertial, "inertia", off | dict.fromkeys(("ixx", "iyy", "izz"), f"{value:.9g}"))
 
 
 def mass_and_inertia(inertial: ET.Element | None) -> tuple[float, np.ndarray]:

@@ -154,6 +154,18 @@ def test_actuators_that_cannot_be_read_are_a_clear_error(text, words):
         parse_actuators(text)
 
 
+@pytest.mark.parametrize(
+    "moments", ["2.4e-8 6.1e-8 1.2e-8 2.8e-8 0.8e-8 3.8e-8", "0.01 0.05 0 0.02 0 0.01", "-1 0 0 1 0 1"]
+)
+def test_an_inertia_that_no_body_has_is_mended(moments, urdf):
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    inertia = " ".join(f'{n}="{v}"' for n, v in zip(names, moments.split(), strict=True))
+    link = f'<inertial><mass value="0.1"/><inertia {inertia}/></inertial>'
+    robot = read_robot(urdf(lower=link))
+    assert (robot.spec.compile().body_inertia[1:] > 0).all()
+    assert said(robot, "lower") and robot.spec.compile().nv == 2
+
+
 TRANSMISSION = '<transmission name="t"><joint name="elbow"/><actuator name="m"/></transmission>'
 CONTROL = '<ros2_control name="r" type="system"><joint name="elbow">{}</joint></ros2_control>'
 
