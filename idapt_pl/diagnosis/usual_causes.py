@@ -29,6 +29,10 @@ ROOM = 0.3
 """Share of the force that usual causes leave that counts as unexplained at least: so much may still be found."""
 
 
+OF_THE_LARGEST = 1e-4
+"""Of the force unexplained elsewhere, that counts as unexplained at a joint that feels next to nothing."""
+
+
 def begin_with_usual_causes(context: SearchContext, state: SearchState) -> SearchState:
     """A state without effects, judged by forces, with the usual effects of every joint that are not needless.
 
@@ -43,6 +47,7 @@ def begin_with_usual_causes(context: SearchContext, state: SearchState) -> Searc
     with_all = replace(state, accepted=accepted)
     left = 1.4826 * np.median(np.abs(lacking_forces(context.sim, with_all.effects, instants)), 0)
     size = np.maximum(np.minimum(unexplained_forces(context, state), left), ROOM * left)
+    size = np.maximum(size, OF_THE_LARGEST * size.max() + 1e-12)
     with_all = refit_accepted(context, judge_by_forces(context, with_all, size))
     log.info("judged by forces, usual causes of all joints at once: held-out error %.3g", level(context, with_all))
     return eliminate_needless(context, with_all)
@@ -68,7 +73,7 @@ def usual_causes(
     model = context.sim.model
     single = [c for c in context.candidates if c.kind in AT_EVERY_JOINT and c.target not in ("*", ACTUATED)]
     own = [c for c in single if model.joint(c.target).dofadr[0] == v]
-    if not own:
+    if not own or not speed.any():  # what never moves shows nothing
         return []
     columns = np.stack([does[c.kind] for c in own], 1)
     size, nominal = np.linalg.norm(columns, axis=0) + 1e-12, np.array([c.nominal[0] for c in own])

@@ -66,11 +66,15 @@ class Candidate:
         return self.possible()
 
     def possible(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of what a simulation can take for this effect."""
-        if self.span is not None:
-            return tuple(np.array(self.span, float).T)
+        """Bounds of what a simulation can take for this effect.
+
+        Those of a joint that never moves may have been made of next to nothing.
+        """
         meta = {f.name: f.metadata for f in dataclasses.fields(self.kind)}
         low, high = (np.array([meta[n][side] for n in self.names], float) for side in ("low", "high"))
+        if self.span is not None:
+            narrow = np.clip(np.array(self.span, float).T, low, high)
+            return narrow[0], narrow[1]
         return low, high
 
     def units(self) -> list[str]:

@@ -13,6 +13,7 @@ from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
 from idapt_pl.diagnosis.unexplained_forces import beyond_noise, unexplained_forces
+from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.minute_section import matter_in_words
@@ -115,6 +116,20 @@ def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm)
     text = " ".join(verdict_in_words(out.result, out.sim.model))
     page = matter_in_words(out.result)
     assert all("the force that nothing explains" in x and "noise alone" not in x for x in (text, page))
+
+
+def test_a_joint_that_never_moves_breaks_nothing(arm):
+    still = [e.observations["qpos"] * [1, 0] for e in arm], [e.observations["qvel"] * [1, 0] for e in arm]
+    held = [
+        Episode(e.actions * np.float32([1, 0]), {"qpos": q, "qvel": v}) for e, q, v in zip(arm, *still, strict=True)
+    ]
+    context, state = begin_search(spec_of(), replace(arm, episodes=tuple(held)), threads=1, settings=QUICK)
+    begun = begin_with_usual_causes(context, state)
+    assert {c.target for c in begun.candidates} <= {"shoulder"}
+    assert np.isfinite(context.loss(begun.windows.held_out, begun.effects)).all()
+    assert all(
+        np.isfinite(context.whitened(begun.windows.scout, (c.effect(c.nominal),))).all() for c in context.candidates
+    )
 
 
 def test_perfect_recordings_of_one_missing_effect_are_judged_by_noise():
