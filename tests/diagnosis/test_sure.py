@@ -111,7 +111,8 @@ def test_what_no_recording_shows_may_be_anything_in_its_range():
     z, J = rng.normal(size=(40, 5)), np.stack([rng.normal(size=200), np.zeros(200)], 1)
     span, names = ((0.0, 1.0), (-0.5, 2.0)), ("time_constant", "dead_time")
     two = Candidate(ActuatorLag, "*", names, (0.0, 0.0), (0.02, 0.02), span=span)
-    windows = SimpleNamespace(windows=Windows(np.repeat(np.arange(8), 5), np.arange(40), np.array([1])))
+    episode = np.repeat(np.arange(8), 5)
+    windows = SimpleNamespace(windows=Windows(episode, np.arange(40), np.array([1])), clusters=episode)
     state = SearchState((), (AcceptedEffect(0, two, np.zeros(2)),), SimpleNamespace(fit=windows, noise=NO_ERRORS))
     solution = LeastSquaresFit(np.array([0.3, 0.1]), 1.0, J, z)
     context = SimpleNamespace(
