@@ -23,9 +23,6 @@ FAR_BEYOND, HOPELESS = 1e3, 1e5
 FORCE_RIDGE = 1e-4
 """Of the regression, in units of the number of instants."""
 
-LEAST_FORCE = 1e-3
-"""Of the rms of the force that a degree of freedom lacks at first, that counts as unexplained at least."""
-
 
 def beyond_noise(context: SearchContext, state: SearchState, loss: float = FAR_BEYOND) -> bool:
     """Whether what a search has left is far beyond noise, and it does not judge by forces yet.
@@ -62,7 +59,7 @@ def unexplained_forces(context: SearchContext, state: SearchState) -> np.ndarray
     for v in range(context.sim.model.nv):
         features = features_of(context, fit, v), features_of(context, judged, v)
         left.append(1.4826 * np.median(np.abs(other[:, v] - predicted(*features, force[:, v]))))
-    return np.maximum(left, LEAST_FORCE * np.sqrt(np.square(force).mean(0)) + 1e-12)
+    return np.array(left)
 
 
 def features_of(context: SearchContext, windows: Windows, v: int) -> np.ndarray:

@@ -85,17 +85,14 @@ def verdict_header(result: DiagnosisResult, model: mujoco.MjModel, model_name: s
 def error_section(result: DiagnosisResult) -> str:
     """The table before, after, floor, ceiling."""
     error = result.error
+    forecasts = f" ({format_number(error.horizon_s)} s), each from its first measured state"
+    forecasts = "" if error.unexplained else forecasts
     return section(
         "Error on episodes not used for fitting",
         table(("", "#error", ""), (row(name, f"#{format_number(v)}", what) for name, v, what in error_rows(result))),
         paragraph(
-            f"In standard deviations of {error.yardstick}: {error.metric}"
-            + (
-                ""
-                if error.unexplained
-                else f" ({format_number(error.horizon_s)} s), each from its first measured state"
-            )
-            + f". Judged on {episode_list(error.held_out_episodes)}.",
+            f"In standard deviations of {error.yardstick}: {error.metric}{forecasts}. "
+            f"Judged on {episode_list(error.held_out_episodes)}.",
             "small",
         ),
     )
