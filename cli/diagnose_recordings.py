@@ -20,11 +20,12 @@ from datamodules import Trajectories, read_trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.data import UnusableData
+from idapt_pl.diagnosis.held_joints import hold_still_joints
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
 from idapt_pl.effects.base import Effect
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
-from idapt_pl.report.diagnosis_files import RecordingNotes, write_diagnosis
+from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
 from idapt_pl.report.fault_section import consequence, fault_sentence
 from idapt_pl.report.sets_section import comparison_sentences, set_cells, set_heads
 from idapt_pl.report.stretch_section import stretch_sentences
@@ -52,7 +53,10 @@ def diagnose_recordings(
     declared = read_effects(o.effects, model) if o.effects else ()
     each = [read_recordings(path, o) for path in o.data]
     ask_for_actuators(o, model, each)
-    names = [s.name for s in join_recordings(o.data, each)[1]]
+    joined, named = join_recordings(o.data, each)
+    names = [s.name for s in named]
+    if held := hold_still_joints(model, joined):
+        Console().print(escape(held_sentence(held)), soft_wrap=True, highlight=False)
     each, faults = without_faults(model, each, names, o)
     if o.fix:
         model = one_mended_model(model, faults)
@@ -67,7 +71,7 @@ def diagnose_recordings(
         def run(recordings: Trajectories) -> Diagnosis:
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                settings, progress, o.threads, laws=False,
+                settings, progress, o.threads, unmeasured=held, laws=False,
             )  # fmt: skip
 
         try:
@@ -77,7 +81,7 @@ def diagnose_recordings(
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
     fixed = o.fix and any(f.faults for f in faults.values())
-    notes = RecordingNotes(faults, fixed, stretches, comparison, robot.notes)
+    notes = RecordingNotes(faults, fixed, stretches, comparison, robot.notes, held)
     write_diagnosis(diagnosis, o.out, o.model.name, " + ".join(names), notes)
     for path, recordings in mended_files(o.out, sets, each) if fixed else ():
         write_trajectories(path, recordings)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import mujoco
 
+from idapt_pl.diagnosis.held_joints import release
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.base import Effect
 
@@ -38,7 +39,7 @@ class RepairedModel:
 
 def repair_model(nominal: mujoco.MjSpec, effects: Effects, folder: Path) -> RepairedModel:
     """Write effects into a model that will lie in ``folder``."""
-    spec, unsaid = nominal.copy(), []
+    spec, unsaid = release(nominal.copy()), []
     before = last = model_as_mjcf(spec, folder)
     for effect in effects:
         effect.apply(spec)

@@ -55,15 +55,15 @@ def unexplained_forces(context: SearchContext, state: SearchState) -> np.ndarray
     """
     fit, judged = state.windows.sensitivity.fit, state.windows.sensitivity.held_out
     force, other = (lacking_forces(context.sim, state.effects, instants_of(w)) for w in (fit, judged))
-    left = []
+    left, rows = [], min(len(force), len(other))
     for v in range(context.sim.model.nv):
-        features = features_of(context, fit, v), features_of(context, judged, v)
+        features = features_of(context, fit, v, rows), features_of(context, judged, v, rows)
         left.append(1.4826 * np.median(np.abs(other[:, v] - predicted(*features, force[:, v]))))
     return np.array(left)
 
 
-def features_of(context: SearchContext, windows: Windows, v: int) -> np.ndarray:
-    """What may explain the force on a degree of freedom in the control steps of windows, (n, f)."""
+def features_of(context: SearchContext, windows: Windows, v: int, rows: int) -> np.ndarray:
+    """What may explain the force on a degree of freedom in the control steps of windows, (n, f), if ``rows`` tell."""
     sim, instants = context.sim, instants_of(windows)
     motion = measured_motion(sim, instants)
     commands = np.stack([sim.data[e].actions[s] for e, s in zip(instants.episode, instants.start, strict=True)])
@@ -72,7 +72,7 @@ def features_of(context: SearchContext, windows: Windows, v: int) -> np.ndarray:
     own = np.stack([speed, np.sign(speed), speed * np.abs(speed), soft, np.ones(len(speed))], 1)
     place = np.concatenate([np.sin(motion.qpos), np.cos(motion.qpos)], 1)
     i, j = np.triu_indices(place.shape[1])
-    pairs = place[:, i] * place[:, j] if 20 * len(i) < len(place) else place[:, :0]
+    pairs = place[:, i] * place[:, j] if 20 * len(i) < rows else place[:, :0]
     return np.concatenate([own, motion.qacc, commands, place, pairs], 1)
 
 

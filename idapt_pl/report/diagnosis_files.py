@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ class RecordingNotes:
         stretches: what was left out.
         comparison: of several files; None for one.
         model_notes: what the model's file said that is not in the model, a sentence each.
+        held: joints that the recordings hold still.
     """
 
     faults: Mapping[str, FaultReport] | None = None
@@ -47,6 +48,7 @@ class RecordingNotes:
     stretches: StretchReport | None = None
     comparison: SetComparison | None = None
     model_notes: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``, beside what the diagnosis says."""
@@ -56,6 +58,8 @@ class RecordingNotes:
             made["deployment_faults"] = next(iter(told.values()))
         if self.model_notes:
             made["model_notes"] = list(self.model_notes)
+        if self.held:
+            made["held_joints"] = list(self.held)
         if self.stretches is not None:
             made["left_out"] = self.stretches.to_dict()
         if self.comparison is not None:
@@ -66,7 +70,7 @@ class RecordingNotes:
 
     def warnings(self) -> list[str]:
         """What a reader with a minute must know, a sentence each."""
-        made = []
+        made = [held_sentence(self.held)] if self.held else []
         if count := sum(len(f.faults) for f in (self.faults or {}).values()):
             done = "taken out" if self.fixed else "still in: effects may stand for them"
             made.append(f"Deployment faults: {count}, {done}.")
@@ -86,6 +90,11 @@ class RecordingNotes:
         lost = [paragraph(note[:1].upper() + note[1:] + ".") for note in self.model_notes]
         told = section("What the model's file lost", *lost) if lost else ""
         return [told, *faults, stretch_section(self.stretches), comparison_section(self.comparison)]
+
+
+def held_sentence(held: Sequence[str]) -> str:
+    """That joints are held while recordings are compared."""
+    return f"Held where the recordings have them, as they never move there: {', '.join(held)}."
 
 
 def write_diagnosis(
