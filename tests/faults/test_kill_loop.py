@@ -35,6 +35,19 @@ RUNS = {
         "effects.max_effects": 1,
     },
     "cheetah_quick": TEACHER | ON_ESTIMATES | {"schedule.exploration": "rehearse", "schedule.grounding_steps": 1},
+    "cheetah_hard": TEACHER
+    | ON_ESTIMATES
+    | {
+        "schedule.grounding_steps": 1,
+        "schedule.action_transformation": "false",
+        "schedule.images": 240,
+        "schedule.paired_steps": 4,
+        "teacher.harden": 12,
+        "teacher.candidates": 2,
+        "effects.discover": "true",
+        "effects.candidates": "[joint_armature,joint_damping]",
+        "effects.max_effects": 1,
+    },
 }
 """What each has beside TINY: together all stages. Few effects, or most kills would come while they are sought."""
 UNCOMPARED = ("run.json", "config.yaml", "report.html", "events.out", "metrics.csv", "hparams.yaml", ".lock", ".gif")
