@@ -6,7 +6,8 @@
 One to three effects are drawn by the seed from the single ones of benchmarks/undeclared (see several_effects.py). Every
 second case is recorded poorly: three short episodes, positions alone. An explanation is right if its effects are just
 those that were hidden, so of several that no recording can tell apart one is; ``something else`` is right if none is.
-Writes results/reliability.csv and results/reliability.png.
+Writes results/reliability.csv and results/reliability.png, and results/false_discoveries.csv: how probable each effect
+is that is named, and whether it is there.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import itertools
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +40,10 @@ from idapt_pl.diagnosis.search import diagnose
 FIELDS = (
     "model", "hidden", "seed", "recorded", "truth", "explanation", "standing", "probability", "right", "loss",
     "seconds", "commit",
+)  # fmt: skip
+EFFECT_FIELDS = (
+    "model", "hidden", "seed", "recorded", "truth", "effect", "share", "other", "probability", "right", "seconds",
+    "commit",
 )  # fmt: skip
 MODELS = ("inverted_pendulum", "reacher", "servo_arm", "rotary_pendulum", "dc_arm", "double_pendulum", "swimmer")
 COUNTS = (1, 2, 3)
@@ -67,8 +73,22 @@ def is_right(drawn: Drawn, effects: list[dict], spec: mujoco.MjSpec) -> bool:
     return named == {plain(t.effect, t.target) for t in drawn.case.truth}
 
 
-def run(model: str, count: int, seed: int) -> list[dict]:
-    """Record, diagnose, and compare every explanation with what was hidden."""
+def effect_rows(drawn: Drawn, found: Sequence[dict], explanations: Sequence[dict]) -> list[dict]:
+    """Each effect that is named: its share of the explanations, its probability, and whether it is there."""
+    told, answers = sum(e["probability"] for e in explanations), set().union(*itertools.chain(*drawn.answers))
+    made = []
+    for e in found:
+        key = e["effect"], e["target"]
+        share = sum(x["probability"] for x in explanations if key in [(q["effect"], q["target"]) for q in x["effects"]])
+        made.append({
+            "effect": f"{key[0]}({key[1]})", "share": round(share / max(told, 1e-9), 4), "other": round(1 - told, 4),
+            "probability": e["probability"], "right": int(key in answers),
+        })  # fmt: skip
+    return made
+
+
+def run(model: str, count: int, seed: int) -> tuple[list[dict], list[dict]]:
+    """Record, diagnose, and compare every explanation, and every effect, with what was hidden."""
     drawn, poor = draw(model, count, seed), (MODELS.index(model) + count + seed) % 2 == 1
     with tempfile.TemporaryDirectory() as folder:
         nominal, measured = generate(drawn.case, seed, Path(folder))
@@ -91,7 +111,9 @@ def run(model: str, count: int, seed: int) -> list[dict]:
     ]  # fmt: skip
     left = round(1.0 - sum(r["probability"] for r in rows), 4)
     none_is = int(not any(r["right"] for r in rows))
-    return [*rows, common | {"explanation": SOMETHING_ELSE, "standing": "", "probability": left, "right": none_is}]
+    rows.append(common | {"explanation": SOMETHING_ELSE, "standing": "", "probability": left, "right": none_is})
+    named = [e for e in report["effects"] if e["effect"] != "numerics"]
+    return rows, [common | e for e in effect_rows(drawn, named, report["explanations"])]
 
 
 def bins(rows: list[dict]) -> list[tuple[float, float, int, float, float]]:
@@ -143,9 +165,13 @@ def main() -> None:
     rows = read_rows(o.out)
     done = {(r["model"], int(r["hidden"]), int(r["seed"])) for r in rows}
     cases = [(m, c, s) for s in o.seeds for m in o.models for c in o.counts if (m, c, s) not in done]
+    by_effect = o.out.with_name("false_discoveries.csv")
+    effects = read_rows(by_effect)
     for case in tqdm([] if o.summary else cases):
-        rows += run(*case)
+        new, named = run(*case)
+        rows, effects = rows + new, effects + named
         write_rows(o.out, rows, FIELDS)
+        write_rows(by_effect, effects, EFFECT_FIELDS)
     chosen = rows if o.summary else [r for r in rows if int(r["seed"]) in o.seeds]
     print(summarise(chosen))
     draw_plot(chosen, o.out.with_suffix(".png"))

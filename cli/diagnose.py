@@ -48,7 +48,7 @@ from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
-from idapt_pl.report.explanation_section import probability_sentences
+from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
 from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.report.law_section import law_sentences
 from idapt_pl.run import Run
@@ -126,6 +126,12 @@ def command_line() -> argparse.ArgumentParser:
         "--looks", action="store_true", help="with --run: visual effects too, from the episodes' first frames"
     )
     p.add_argument("--quick", action="store_true", help="a first answer, in about 20 s; it says what was not tried")
+    p.add_argument(
+        "--fdr",
+        type=float,
+        metavar="RATE",
+        help="name only effects of which at most this share is expected to be false",
+    )
     p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
@@ -143,13 +149,15 @@ def main(args: list[str]) -> int:
     for name in WRITTEN:
         keep_inputs(o.out / name, [o.model, *o.data, o.effects])
     keep_inputs(o.out, [o.run])
-    check_ranges("", vars(o), {"seed": Range(0, 2**31 - 1), "threads": Range(1, 1024)})
+    check_ranges("", vars(o), {"seed": Range(0, 2**31 - 1), "threads": Range(1, 1024), "fdr": Range(0, 1, "()")})
     if (o.model is None) == (o.run is None):
         p.error("give either --model (recordings of positions) or --run (recordings of images)")
     if o.looks and o.run is None:
         p.error("--looks compares images with what the source of a run shows: give --run")
     if o.fix and o.run is not None:
         p.error("--fix mends recordings of positions: give --model, not --run")
+    if o.fdr is not None and o.run is not None:
+        p.error("--fdr is for recordings of positions: give --model")
     if o.quick and o.run is not None:
         p.error("--quick is for recordings of positions: give --model")
     if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
@@ -240,7 +248,7 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
 
 def more_sentences(result: DiagnosisResult) -> list[str]:
     """How probable it is, what changes, and laws for what no effect explains."""
-    told = probability_sentences(result.explanations)
+    told = [*probability_sentences(result.explanations), *not_named_sentences(result)]
     if result.not_tried:
         told.append(f"A quick look. Not tried: {', '.join(result.not_tried)}. For these run it without --quick.")
     return [*told, *change_sentences(result.changes), *law_sentences(result.laws)]
@@ -270,10 +278,11 @@ def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> 
     table = Table(title="effects to add")
     for title, how in (
         ("effect", "left"), ("parameter", "left"), ("estimate", "right"), ("95 %", "right"), ("unit", "left"),
-        ("in the model", "right"),
+        ("in the model", "right"), ("probable", "right"),
     ):  # fmt: skip
         table.add_column(title, justify=how, overflow="fold")
     for e in effects:
+        sure = "" if e.probability is None else f"{e.probability:.0%}"
         for cells in estimate_cells(e, model):
-            table.add_row(*map(escape, (phrase_at(*e.key), *cells)))
+            table.add_row(*map(escape, (phrase_at(*e.key), *cells, sure)))
     return [table] if effects else []

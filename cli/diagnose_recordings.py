@@ -19,6 +19,7 @@ from cli.arguments import show_bar
 from datamodules import Trajectories, read_trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
+from idapt_pl.diagnosis.claims import claim
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.held_joints import hold_still_joints
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
@@ -75,7 +76,11 @@ def diagnose_recordings(
             )  # fmt: skip
 
         try:
-            finish = (lambda found: found) if o.no_laws or o.quick else with_laws  # a push must not be taken for a law
+
+            def finish(found: Diagnosis) -> Diagnosis:  # once pushes are left out, which must not be taken for laws
+                found = found if o.no_laws or o.quick else with_laws(found)
+                return found if o.fdr is None else claim(found, o.fdr)
+
             diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not (o.keep_all or o.quick), finish)
             comparison = compare_sets(diagnosis, sets) if len(sets) > 1 else None
         except UnusableData as error:

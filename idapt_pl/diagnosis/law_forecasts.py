@@ -99,8 +99,11 @@ def with_inner(terms: Sequence[Term], inner: np.ndarray) -> list[Term]:
 
 
 def regress(X: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float]:
-    """Least-squares amplitudes that make ``left`` + X x small, and how much squared error they remove."""
+    """Least-squares amplitudes that make ``left`` + X x small, and how much squared error they remove.
+
+    A column of zeros, as of a term that never acts, has amplitude 0.
+    """
     H, g = X.T @ X, X.T @ left
-    scale = np.sqrt(np.diag(H)) + 1e-300
+    scale = np.where(np.diag(H) > 0, np.sqrt(np.diag(H)), 1.0)
     x = -np.linalg.solve(H / np.outer(scale, scale) + 1e-6 * np.eye(len(H)), g / scale) / scale
     return x, float(-2 * x @ g - x @ H @ x)

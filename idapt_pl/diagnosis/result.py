@@ -99,6 +99,7 @@ class EffectEstimate:
         error_without: the same without this one; None for numerics.
         equivalent: what explains the data as well.
         implausible: why no real machine has it, in words; empty where one may.
+        probability: that it is there; None for numerics.
     """
 
     effect: str
@@ -109,6 +110,7 @@ class EffectEstimate:
     error_without: float | None = None
     equivalent: Sequence[Alternative] = ()
     implausible: str = ""
+    probability: float | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -123,7 +125,8 @@ class EffectEstimate:
         if self.error_without is not None:
             errors = {"fixed": dict(self.fixed), **errors, "error_without": self.error_without}
         equivalent = [a.to_dict() for a in self.equivalent]
-        return {**entry, **errors, "equivalent": equivalent, "implausible": self.implausible}
+        told = {"implausible": self.implausible, "probability": self.probability}
+        return {**entry, **errors, "equivalent": equivalent, **told}
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> EffectEstimate:
@@ -137,6 +140,7 @@ class EffectEstimate:
             entry.get("error_without"),
             tuple(map(Alternative.from_dict, entry.get("equivalent", ()))),
             entry.get("implausible", ""),
+            entry.get("probability"),
         )
 
 
@@ -291,6 +295,8 @@ class DiagnosisResult:
         laws: what a search for laws came to; None where none was made.
         changes: whether effects stay the same throughout; None where that was not tested.
         not_tried: what a quick look left out, in words.
+        false_discovery_rate: share of false ones among the effects that the user bears; None if none was set.
+        not_named: effects that are not probable enough for it.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -308,6 +314,8 @@ class DiagnosisResult:
     laws: LawReport | None = None
     changes: ChangeReport | None = None
     not_tried: Sequence[str] = ()
+    false_discovery_rate: float | None = None
+    not_named: Sequence[EffectEstimate] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -324,5 +332,12 @@ class DiagnosisResult:
             "explanations": [e.to_dict() for e in self.explanations],
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
             **({"not_tried": list(self.not_tried)} if self.not_tried else {}),
+            **self._rate(),
             **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
         }
+
+    def _rate(self) -> dict[str, Any]:
+        """What a false discovery rate left out."""
+        if self.false_discovery_rate is None:
+            return {}
+        return {"false_discovery_rate": self.false_discovery_rate, "not_named": [e.to_dict() for e in self.not_named]}

@@ -10,6 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.advice import next_experiment
 from idapt_pl.diagnosis.black_box import predictable_share
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.false_discoveries import effect_probabilities
 from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.remaining import describe_measurement, remaining_explanations
 from idapt_pl.diagnosis.result import (
@@ -59,7 +60,13 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         channels=physical_errors(context, state),
         unexplained=unexplained_force_of(context, state),
     )
-    estimates = [estimate_of(context, state, a) for a in state.accepted]
+    explanations = remaining_explanations(
+        context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.model, a)]
+    )
+    probable = effect_probabilities(explanations)
+    estimates = [
+        estimate_of(context, state, a, probable[a.candidate.kind.name, a.candidate.target]) for a in state.accepted
+    ]
     return DiagnosisResult(
         verdict=verdict,
         error=error,
@@ -68,9 +75,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         candidates=rejected_candidates(trials),
         signature=residual_signature(context, state, final) if tells else "",
         next_experiment=next_experiment(context, state, verdict),
-        explanations=remaining_explanations(
-            context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.model, a)]
-        ),
+        explanations=explanations,
         measurement=describe_measurement(context, state),
     )
 
@@ -116,7 +121,9 @@ def channel_units(sim: Simulator) -> list[str]:
     return out + [f"{u}/s" for u in out] * sim.velocities
 
 
-def estimate_of(context: SearchContext, state: SearchState, a: AcceptedEffect) -> EffectEstimate:
+def estimate_of(
+    context: SearchContext, state: SearchState, a: AcceptedEffect, probability: float | None = None
+) -> EffectEstimate:
     """One accepted effect."""
     held_out, c = state.windows.held_out, a.candidate
     error, without = (context.loss(held_out, s.effects).mean() for s in (state, state.without(a)))
@@ -139,6 +146,7 @@ def estimate_of(context: SearchContext, state: SearchState, a: AcceptedEffect) -
         error_without=round(float(np.sqrt(without)), 4),
         equivalent=(*map(alternative, a.equivalent), *inseparable(context.sim.model, a)),
         implausible=a.implausible,
+        probability=probability,
     )
 
 

@@ -16,7 +16,7 @@ from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
 from idapt_pl.report.change_section import change_section
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words
-from idapt_pl.report.explanation_section import explanation_section
+from idapt_pl.report.explanation_section import as_number, explanation_section
 from idapt_pl.report.html import document, paragraph, row, section, table
 from idapt_pl.report.law_section import law_section
 from idapt_pl.report.minute_section import minute_section
@@ -105,12 +105,13 @@ def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
         others = listing(phrase_at(a.effect, a.target) for a in e.equivalent) if e.equivalent else ""
         for i, (name, value, interval, unit, nominal) in enumerate(estimate_cells(e, model)):
             what = linked_name(e) if i == 0 else ""
-            cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", others if i == 0 else "")
+            sure = as_number(e.probability) if e.probability is not None and i == 0 else ""
+            cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", sure, others if i == 0 else "")
             rows.append(row(*cells))
     if not rows:
         return ""
     heads: tuple[str, ...] = (
-        "effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "could also be",
+        "effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "#probable", "could also be",
     )  # fmt: skip
     if not any(e.equivalent for e in result.effects):
         heads, rows = heads[:-1], [r.replace("<td></td></tr>", "</tr>") for r in rows]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from idapt_pl.diagnosis.explanation import Explanation, Standing
+from idapt_pl.diagnosis.result import DiagnosisResult
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, row, section, table
 
@@ -41,6 +42,15 @@ def probability_sentences(explanations: Sequence[Explanation]) -> list[str]:
     found = next(e for e in explanations if e.standing is Standing.FOUND)
     other = something_else(explanations)
     return [f"Just these effects: {found.probability:.0%} probable; something else, or something more: {other:.0%}."]
+
+
+def not_named_sentences(result: DiagnosisResult) -> list[str]:
+    """What a false discovery rate left out."""
+    if not result.not_named:
+        return []
+    told = all_of([f"{phrase_at(*e.key)} ({e.probability:.0%} probable)" for e in result.not_named])
+    rate = f"{result.false_discovery_rate:.2g}"
+    return [f"Not named, as more than {rate} of what is named would be expected to be false with it: {told}."]
 
 
 def something_else(explanations: Sequence[Explanation]) -> float:

@@ -10,7 +10,7 @@ from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
 from idapt_pl.report.diagnosis_wording import nominal_in_words, quick_and_unexplained
-from idapt_pl.report.explanation_section import probability_sentences
+from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
 from idapt_pl.report.html import row, section, table
 
 MOST_NAMED = 3
@@ -89,7 +89,8 @@ def sureness_in_words(result: DiagnosisResult, sim: Simulator) -> str:
     seconds = format_number(sum(float(r.time[-1] - r.time[0]) for r in sim.data), 2)
     judged, n = len(result.error.held_out_episodes), len(sim.data)
     told = f"Judged on {judged} of {n} episodes ({seconds} s in all) that nothing was fitted to."
-    told += "".join(f" {sentence}" for sentence in probability_sentences(result.explanations))
+    sentences = [*probability_sentences(result.explanations), *not_named_sentences(result)]
+    told += "".join(f" {sentence}" for sentence in sentences)
     unsure = [phrase_at(*e.key) for e in result.effects if e.equivalent]
     if unsure:
         told += f" Not decided: {'; '.join(unsure[:MOST_NAMED])} could also be something else (Effects to add)."

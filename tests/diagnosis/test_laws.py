@@ -180,3 +180,15 @@ def test_coefficients_stay_within_what_a_law_can_have_however_weak_its_terms_are
     term = next(t for t in dictionary(sizes) if t.amplitudes == 1 and not t.inner)
     candidate, _ = law_candidate(sizes, [term], np.array([1e12]), np.array([1e20]))
     assert np.abs(candidate.effect([1e30]).a) <= 1e9
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_term_that_never_acts_changes_nothing():
+    """It once made every amplitude NaN, so that a law with it was never tried."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(50, 2))
+    left = -X @ [1.0, -2.0] + 0.1 * rng.normal(size=50)
+    x, gain = regress(X, left)
+    with_idle, same = regress(np.column_stack([X, np.zeros(50)]), left)
+    assert with_idle == pytest.approx([*x, 0.0]) and same == pytest.approx(gain)
+    assert x == pytest.approx([1.0, -2.0], abs=0.1) and gain > 0.9 * left @ left

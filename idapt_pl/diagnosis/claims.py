@@ -1,0 +1,53 @@
+"""A diagnosis that names no more than what keeps false discoveries at a rate that the user sets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from idapt_pl.diagnosis.false_discoveries import nameable
+from idapt_pl.diagnosis.law_result import LawReport
+from idapt_pl.diagnosis.measurement import measure_intervals
+from idapt_pl.diagnosis.result import EffectEstimate, Verdict
+from idapt_pl.diagnosis.search import Diagnosis
+from idapt_pl.diagnosis.search_state import refit_accepted, renew
+from idapt_pl.diagnosis.summary import summarise_search
+
+
+def claim(found: Diagnosis, rate: float) -> Diagnosis:
+    """The diagnosis with the effects alone of which at most ``rate`` are expected to be false; these fitted again.
+
+    How probable the others are stays as it was: without the doubtful ones more is unexplained, which says nothing new.
+    Where none is sure enough, something is missing that nobody can name.
+    """
+    probable = {e.key: e.probability for e in found.result.effects if e.probability is not None}
+    kept = nameable(probable, rate)
+    doubtful = [e for e in found.result.effects if e.key in probable and e.key not in kept]
+    if not doubtful:
+        return replace(found, result=replace(found.result, false_discovery_rate=rate))
+    state, context = found.state, found.context
+    for a in state.accepted:
+        if (a.candidate.kind.name, a.candidate.target) not in kept:
+            state = state.without(a)
+    state = measure_intervals(context, refit_accepted(context, renew(context, state)))
+    left = summarise_search(context, state, found.trials)
+    result = replace(
+        found.result,
+        verdict=left.verdict if kept else Verdict.UNEXPLAINED_RESIDUAL,
+        error=left.error,
+        effects=[with_probability(e, probable.get(e.key)) for e in left.effects],
+        signature=left.signature,
+        laws=without_laws_on(found.result.laws, {e.target for e in doubtful if e.effect == "learned_force"}),
+        false_discovery_rate=rate,
+        not_named=doubtful,
+    )
+    return replace(found, result=result, effects=state.effects, held_out=state.windows.held_out.windows, state=state)
+
+
+def with_probability(e: EffectEstimate, probability: float | None) -> EffectEstimate:
+    """An estimate with how probable it was beside the doubtful ones."""
+    return replace(e, probability=probability)
+
+
+def without_laws_on(laws: LawReport | None, joints: set[str]) -> LawReport | None:
+    """What a search for laws came to, less laws on some joints."""
+    return None if laws is None else replace(laws, found=[f for f in laws.found if f.joint not in joints])
