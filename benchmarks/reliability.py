@@ -35,6 +35,7 @@ from benchmarks.several_effects import Drawn, draw
 from benchmarks.undeclared.generate import generate
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
+from idapt_pl.diagnosis.false_discoveries import nameable
 from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (
@@ -141,6 +142,24 @@ def summarise(rows: list[dict]) -> str:
     return "\n".join([*lines, "", f"Brier's score {brier:.3f}; always saying {right.mean():.2f} has {base:.3f}"])
 
 
+def summarise_rates(rows: list[dict], rates: Sequence[float] = (0.05, 0.1, 0.2)) -> str:
+    """A Markdown table: of the effects that each ``--fdr`` would name, how many are not there; last, of all."""
+    cases: dict[tuple, list[dict]] = {}
+    for r in rows:
+        cases.setdefault((r["model"], r["hidden"], r["seed"]), []).append(r)
+    lines = ["| `--fdr` | named | not there | there, not named |", "|---|---|---|---|"]
+    there = sum(int(r["right"]) for r in rows)
+    for rate in (*rates, None):
+        kept = []
+        for case in cases.values():
+            probable = {(r["effect"], str(i)): float(r["probability"]) for i, r in enumerate(case)}
+            names = set(probable) if rate is None else nameable(probable, rate)
+            kept += [int(r["right"]) for i, r in enumerate(case) if (r["effect"], str(i)) in names]
+        told = "not given" if rate is None else f"{rate:g}"
+        lines.append(f"| {told} | {len(kept)} | {len(kept) - sum(kept)} | {there - sum(kept)} |")
+    return "\n".join(lines)
+
+
 def draw_plot(rows: list[dict], path: Path) -> None:
     """Share that is right over what was said."""
     said, right, n, low, high = np.array(bins(rows)).T
@@ -174,6 +193,7 @@ def main() -> None:
         write_rows(by_effect, effects, EFFECT_FIELDS)
     chosen = rows if o.summary else [r for r in rows if int(r["seed"]) in o.seeds]
     print(summarise(chosen))
+    print(summarise_rates([r for r in effects if o.summary or int(r["seed"]) in o.seeds]))
     draw_plot(chosen, o.out.with_suffix(".png"))
 
 

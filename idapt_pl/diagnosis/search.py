@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,10 +39,12 @@ from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.summary import summarise_search
 from idapt_pl.diagnosis.taking_apart import single_for_shared
 from idapt_pl.diagnosis.trial import RejectionReason, Trial
-from idapt_pl.diagnosis.unexplained_forces import HOPELESS, beyond_noise, judge_by_noise
+from idapt_pl.diagnosis.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
 from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
 from idapt_pl.effects.base import Effect
 from idapt_pl.estimation.stepwise import forward_selection
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,13 +185,9 @@ Progression = tuple[SearchState, tuple[Trial, ...]]
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
     if not context.settings.thorough:
-        state, trials = add_effects(context, (retest_numerics(context, state), ()))
-        if beyond_noise(context, state):
-            state, trials = search_by_forces(context, (state, trials))
+        state, trials = by_forces_if_need_be(context, add_effects(context, (retest_numerics(context, state), ())))
         return keep_sure(context, eliminate_needless(context, state)), trials
-    state, trials = select_and_revise(context, (retest_numerics(context, state), ()))
-    if beyond_noise(context, state):
-        state, trials = search_by_forces(context, (state, trials))
+    state, trials = by_forces_if_need_be(context, select_and_revise(context, (retest_numerics(context, state), ())))
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
@@ -211,7 +210,7 @@ def select_and_revise(context: SearchContext, progress: Progression, most: int |
         before = level(context, progress[0])
         progress = add_effects(context, progress) if most is None else add_one_by_one(context, progress, most)
         state, trials = progress
-        if not state.accepted or beyond_noise(context, state, HOPELESS):
+        if not state.accepted or leads_nowhere(context, state):
             break
         if revision and far_from_explained(context, state) and level(context, state) > 0.9 * before:
             return eliminate_needless(context, state), trials  # little came, and reopening what is far takes long
@@ -227,9 +226,25 @@ def add_effects(context: SearchContext, progress: Progression) -> Progression:
     most = context.settings.max_effects - len(progress[0].accepted)
     found = add_one_by_one(context, progress, min(most, FIRST_EFFECTS))
     taken = len(found[0].accepted) - len(progress[0].accepted)
-    if taken < FIRST_EFFECTS or beyond_noise(context, found[0], HOPELESS):
+    if taken < FIRST_EFFECTS or leads_nowhere(context, found[0]):
         return found
     return add_one_by_one(context, found, most - taken)
+
+
+def leads_nowhere(context: SearchContext, state: SearchState) -> bool:
+    """Whether a search by forecasts had better begin anew, judged by forces."""
+    return beyond_noise(context, state, HOPELESS) or contradicts_forces(context, state)
+
+
+def by_forces_if_need_be(context: SearchContext, progress: Progression) -> Progression:
+    """A search that begins anew, judged by forces, where noise is no yardstick or forces contradict what was found."""
+    if contradicts_forces(context, progress[0]):
+        log.info("what was found leaves more force unexplained than the model as it was: forces judge")
+        return search_by_forces(context, progress)
+    if not beyond_noise(context, progress[0]):
+        return progress
+    state, trials = search_by_forces(context, progress)
+    return judge_by_noise(context, state), trials
 
 
 def search_by_forces(context: SearchContext, progress: Progression) -> Progression:
@@ -239,7 +254,7 @@ def search_by_forces(context: SearchContext, progress: Progression) -> Progressi
     state, trials = select_and_revise(context, (begun, ()), FIRST_EFFECTS)
     if level(context, replace(state, accepted=old.accepted)) < level(context, state):
         return progress
-    return judge_by_noise(context, state), trials
+    return state, trials
 
 
 def labels(state: SearchState) -> list[str]:

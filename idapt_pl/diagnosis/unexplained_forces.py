@@ -16,9 +16,13 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, lacking_forces, measured_motion
 from idapt_pl.diagnosis.search_state import SearchState, renew
+from idapt_pl.diagnosis.simulator import Effects
 
 FAR_BEYOND, HOPELESS = 1e3, 1e5
 """Held-out loss of a finished search from which noise is no yardstick, and that of one that leads nowhere."""
+
+UNEXPLAINED, TELLING = 10.0, 3.0
+"""Held-out loss above which an answer is asked whether it contradicts forces, and how far those must be above noise."""
 
 FORCE_RIDGE = 1e-4
 """Of the regression, in units of the number of instants."""
@@ -32,6 +36,25 @@ def beyond_noise(context: SearchContext, state: SearchState, loss: float = FAR_B
     if context.known_noise is not None or state.windows.noise.forces is not None or not context.sim.velocities:
         return False
     return float(context.loss(state.windows.held_out, state.effects).mean()) > loss
+
+
+def contradicts_forces(context: SearchContext, state: SearchState) -> bool:
+    """Whether effects leave much of forecasts unexplained, and more force than the model as it was given lacks.
+
+    What goes on as it goes is forecast well by a rotor of great inertia, which takes torques that nobody measured.
+    Forces count in units of what a black box leaves of them, and tell nothing where they are near it.
+    """
+    if not state.accepted or not beyond_noise(context, state, UNEXPLAINED):
+        return False
+    given = replace(state, accepted=())
+    nothing_explains, instants = unexplained_forces(context, given), instants_of(state.windows.sensitivity.held_out)
+
+    def left(effects: Effects) -> float:
+        typical = 1.4826 * np.median(np.abs(lacking_forces(context.sim, effects, instants)), 0)
+        return float(np.sqrt(np.square(typical / (nothing_explains + 1e-12)).mean()))
+
+    before, after = left(given.effects), left(state.effects)
+    return TELLING < before < after
 
 
 def judge_by_forces(context: SearchContext, state: SearchState, size: np.ndarray) -> SearchState:

@@ -10,9 +10,10 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose
+from idapt_pl.diagnosis.search_state import AcceptedEffect
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
-from idapt_pl.diagnosis.unexplained_forces import beyond_noise, unexplained_forces
+from idapt_pl.diagnosis.unexplained_forces import beyond_noise, contradicts_forces, unexplained_forces
 from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.report.diagnosis_wording import verdict_in_words
@@ -135,3 +136,41 @@ def test_perfect_recordings_of_one_missing_effect_are_judged_by_noise():
     assert list(found(out)) == [("joint_damping", "shoulder")]
     assert not judges_forces(out.state.windows.fit) and not beyond_noise(out.context, out.state)
     assert out.report["error"]["unexplained_force"] == {}
+
+
+@pytest.fixture(scope="module")
+def noisier():
+    """A search of recordings in which forecasts are off by tens of standard deviations, not by thousands."""
+    kinds = ["joint_damping", "joint_frictionloss", "joint_armature"]
+    return begin_search(spec_of(), recorded(noise=5e-4), threads=1, settings=QUICK, candidates=kinds)
+
+
+def naming(context, state, *effects):
+    """A state in which these effects are accepted."""
+    accepted = []
+    for number, e in enumerate(effects):
+        (candidate,) = (c for c in context.candidates if (c.kind, c.target) == (type(e), e.target))
+        value = np.array([getattr(e, candidate.names[0])])
+        accepted.append(AcceptedEffect(number, candidate, value))
+    return replace(state, accepted=tuple(accepted))
+
+
+def test_a_heavy_rotor_contradicts_the_forces_that_were_measured_and_friction_does_not(noisier):
+    """Both leave much unexplained, and the rotor forecasts better than the model as it is."""
+    context, state = noisier
+    heavy, right = naming(context, state, JointArmature("*", 10.0)), naming(context, state, *TRUE)
+    loss = {name: float(context.loss(s.windows.held_out, s.effects).mean()) for name, s in
+            (("nominal", state), ("heavy", heavy), ("right", right))}  # fmt: skip
+    assert 10 < loss["right"] < loss["heavy"] < loss["nominal"]
+    assert contradicts_forces(context, heavy)
+    assert not contradicts_forces(context, right) and not contradicts_forces(context, state)
+
+
+def test_an_answer_that_contradicts_forces_gives_way_to_the_usual_causes(noisier):
+    context, state = noisier
+    heavy = naming(context, state, JointArmature("*", 10.0))
+    after, _ = by_forces_if_need_be(context, (heavy, ()))
+    assert judges_forces(after.windows.fit)
+    assert {"joint_damping(shoulder)", "joint_frictionloss(shoulder)"} <= {c.label for c in after.candidates}
+    rotors = [a.x[0] for a in after.accepted if a.candidate.kind is JointArmature]
+    assert all(x < 1.0 for x in rotors)
