@@ -96,6 +96,10 @@ class Worlds:
         """
         return self.target.with_reward(num_envs, self.look, asking)
 
+    def look_for_target(self) -> None:
+        """See whether the target is there, as far as that can be known without playing it."""
+        self.target.look_for(self.look)
+
     def target_twin(self) -> VectorImageEnv | None:
         """A simulation of the target that can be put into the source's states, for evaluation; None without one."""
         return self.target.posable_twin(self.look)

@@ -29,6 +29,9 @@ KEYS = {
 }
 """Of the description of each kind."""
 
+GYMNASIUMS = "gymnasium:"
+"""Before the id of a registered environment."""
+
 SAME_PERIOD = 0.01
 """Share by which the control periods of source and target may differ."""
 
@@ -72,7 +75,9 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
         asked=said.get("measure") == "ask",
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
-    return RobotTarget(name, make, settings, actions, bool(said.get("measure", False)))
+    simulated = said["env"].startswith(GYMNASIUMS)
+    find = make if simulated else functools.partial(import_from, said["env"], "target.env")
+    return RobotTarget(name, make, find, simulated, settings, actions, bool(said.get("measure", False)))
 
 
 def check_description(said: Mapping[str, Any]) -> str:
@@ -141,8 +146,8 @@ def make_robot(path: str, options: dict[str, Any], settings: RobotSettings) -> g
     Raises:
         ValueError: if there is none, or its control period is another.
     """
-    source, _, env_id = path.partition(":")
-    if source == "gymnasium":
+    if path.startswith(GYMNASIUMS):
+        env_id = path.removeprefix(GYMNASIUMS)
         try:
             env = gymnasium.make(env_id, **({"render_mode": "rgb_array"} | options))
         except (gymnasium.error.Error, TypeError, ImportError) as error:

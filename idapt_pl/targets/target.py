@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import gymnasium
@@ -69,6 +70,14 @@ class Target(ABC):
         """
         raise ValueError(f"the target {self.name} is known from recordings alone, and cannot be played")
 
+    def look_for(self, look: Look) -> None:  # noqa: B027  recordings are looked at when they are read
+        """See whether it is there, before anything trains for it; no control step is taken, and no robot moved.
+
+        Raises:
+            ValueError: it is not, or cannot be drawn.
+            RuntimeError: the same, of a user's own code.
+        """
+
     def posable_twin(self, look: Look) -> VectorImageEnv | None:
         """A simulation of the target that can be put into the source's states; None if there is none."""
         return None
@@ -122,6 +131,9 @@ class OtherTaskTarget(Target):
         env = look.simulate(self.task, self.task.domain("source"), num_envs)
         return MappedActions(PixelsOnly(env), self.actions)
 
+    def look_for(self, look: Look) -> None:
+        draw_once(self.with_reward(1, look, asking=False))
+
 
 @dataclass(frozen=True)
 class RobotTarget(Target):
@@ -130,6 +142,8 @@ class RobotTarget(Target):
     Attributes:
         name: as of :class:`Target`.
         make: makes the environment.
+        find: imports what makes it.
+        simulated: whether it is known to be a simulation, which anybody may reset at any time.
         settings: how it is played.
         actions: the source's to its own.
         measured, repeatable, alone: as of :class:`Target`.
@@ -137,6 +151,8 @@ class RobotTarget(Target):
 
     name: str
     make: Callable[[], gymnasium.Env]
+    find: Callable[[], object]
+    simulated: bool
     settings: RobotSettings
     actions: ActionMap
     measured: bool = False
@@ -147,3 +163,14 @@ class RobotTarget(Target):
         settings = replace(self.settings, asked=self.settings.asked and asking)
         env = RobotEnv(self.make, settings, look.image_size, look.frame_stack)
         return MappedActions(env, self.actions)
+
+    def look_for(self, look: Look) -> None:
+        self.find()
+        if self.simulated:
+            draw_once(self.with_reward(1, look, asking=False))
+
+
+def draw_once(env: ImageEnv) -> None:
+    """Draw the first image of an episode."""
+    with closing(env):
+        env.reset(seed=0)

@@ -284,6 +284,36 @@ def test_descriptions_that_make_no_sense_are_refused(said, message):
 
 
 @pytest.mark.usefixtures("lab")
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        ({"env": "gymnasium:Nope-v0"}, "Nope"),
+        ({"env": "my_lab:Nothing"}, "my_lab has no 'Nothing'"),
+        ({"env": "no_lab:CartPole"}, "no_lab"),
+    ],
+)
+def test_a_target_that_is_not_there_is_missed_before_anything_trains(target, told, tmp_path, capsys):
+    config = written(tmp_path, **target)
+    assert main(["fit", "--config", str(config), "--run_dir", str(tmp_path / "run")]) == 1
+    assert told in capsys.readouterr().err
+    assert not list((tmp_path / "run").glob("step_*"))
+
+
+@pytest.mark.usefixtures("lab")
+def test_looking_for_a_robot_neither_makes_nor_moves_it():
+    """It may need a person; a registered environment is a simulation, and is drawn."""
+
+    def boom() -> None:
+        raise AssertionError("made")
+
+    robot = make_target({"env": "my_lab:CartPole"}, make_task(SOURCE))
+    replace(robot, make=boom).look_for(LOOK)
+    simulation = make_target({"env": "gymnasium:CartPole-v1"}, make_task(SOURCE))
+    with pytest.raises(RuntimeError, match="could not be made: made"):
+        replace(simulation, make=boom).look_for(LOOK)
+
+
+@pytest.mark.usefixtures("lab")
 def test_an_oracle_needs_states_of_the_target(tmp_path, capsys):
     config = written(tmp_path, env="my_lab:CartPole")
     assert main(["fit", "--config", str(config), "--run_dir", str(tmp_path / "run"), "--oracle", "true"]) == 1
