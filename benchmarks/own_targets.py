@@ -3,8 +3,9 @@
     python benchmarks/own_targets.py --example cartpole_dm_control cartpole_pybullet --seeds 0 1 2
 
 Runs ``idapt fit`` in ``examples/`` for every seed (finished runs are not repeated) and writes results/own_targets.csv,
-as ``benchmarks/quick.py`` does. ``cartpole_pybullet`` needs ``pip install pybullet``. ``--oracle 10000`` instead trains SAC
-of Stable-Baselines3 for so many steps on the target's states and rewards, where that is an environment of Gymnasium's.
+as ``benchmarks/quick.py`` does. ``cartpole_pybullet`` needs ``pip install pybullet``. ``--oracle 10000`` instead trains
+SAC of Stable-Baselines3 for so many steps on the target's states and rewards, where that is an environment of
+Gymnasium's.
 """
 
 from __future__ import annotations
