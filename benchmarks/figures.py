@@ -7,9 +7,9 @@ A figure stands between two comments that do not show; the first, without spaces
 
     <!--results/own_targets.csv:mean:grounding_step=0:.0f-->64<!--/-->
 
-These are a table, a column, the rows (``&`` between conditions, ``+`` for a space, none for all rows) and a format. The
-figure is the value of the column in these rows, which must agree; ``sum(minutes)``, ``mean(...)``, ``min(...)``,
-``max(...)`` and ``count(...)`` make one of several, and ``sum(after_s)/60`` divides it.
+These are a table, a column, the rows (``&`` between conditions, ``+`` for a space, ``%3A`` for a colon, none for all
+rows) and a format. The figure is the value of the column in these rows, which must agree; ``sum(minutes)``,
+``mean(...)``, ``min(...)``, ``max(...)`` and ``count(...)`` make one of several, and ``sum(after_s)/60`` divides it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.parse import unquote_plus
 
 ROOT = Path(__file__).parents[1]
 FIGURE = re.compile(r"<!--(results/[\w.]+\.csv):([^:\s>]+):([^:\s]*):([^:\s]+?)-->(.*?)<!--/-->", re.DOTALL)
@@ -55,7 +56,7 @@ def value_of(table: str, column: str, rows: str, shape: str, root: Path = ROOT) 
     if found is None:
         raise ValueError(f"{column} is no column, nor sum(...) and the like")
     several, name, divisor = found[1], found[2] or found[3], float(found[4] or 1)
-    wanted = dict(part.replace("+", " ").split("=", 1) for part in rows.split("&") if part)
+    wanted = dict(unquote_plus(part).split("=", 1) for part in rows.split("&") if part)
     with (root / table).open(newline="", encoding="utf-8") as f:
         every = list(csv.DictReader(f))
     if missing := [key for key in (name, *wanted) if every and key not in every[0]]:

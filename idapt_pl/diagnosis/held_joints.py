@@ -61,7 +61,7 @@ def positions_of(episode: Episode, model: mujoco.MjModel) -> np.ndarray | None:
     for name, width in ("qpos", model.nq), ("state", model.nq + model.nv):
         if name in episode.observations:
             seen = episode.observations[name]
-            return seen if seen.ndim == 2 and seen.shape[1] == width else None
+            return seen if seen.dtype.kind in "fiu" and seen.ndim == 2 and seen.shape[1] == width else None
     return None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -185,9 +185,11 @@ Progression = tuple[SearchState, tuple[Trial, ...]]
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
     if not context.settings.thorough:
-        state, trials = by_forces_if_need_be(context, add_effects(context, (retest_numerics(context, state), ())))
+        begun = add_effects(context, (retest_numerics(context, state), ()))
+        state, trials = by_forces_if_need_be(context, begun, lambda p: add_effects(context, p, to_the_end=True))
         return keep_sure(context, eliminate_needless(context, state)), trials
-    state, trials = by_forces_if_need_be(context, select_and_revise(context, (retest_numerics(context, state), ())))
+    begun = select_and_revise(context, (retest_numerics(context, state), ()))
+    state, trials = by_forces_if_need_be(context, begun, lambda p: select_and_revise(context, p, to_the_end=True))
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
@@ -201,16 +203,22 @@ def settle(context: SearchContext, state: SearchState) -> SearchState:
     return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state)))
 
 
-def select_and_revise(context: SearchContext, progress: Progression, most: int | None = None) -> Progression:
+def select_and_revise(
+    context: SearchContext, progress: Progression, most: int | None = None, to_the_end: bool = False
+) -> Progression:
     """Add effects until none helps (``most`` each time), then reopen earlier choices; where one changed, add again.
+
+    It breaks off where it leads nowhere (:func:`leads_nowhere`), ``to_the_end`` only if that is hopeless.
 
     What was hidden behind a wrong first choice shows once that is put right.
     """
     for revision in range(REVISIONS):
         before = level(context, progress[0])
-        progress = add_effects(context, progress) if most is None else add_one_by_one(context, progress, most)
+        progress = (
+            add_effects(context, progress, to_the_end) if most is None else add_one_by_one(context, progress, most)
+        )
         state, trials = progress
-        if not state.accepted or leads_nowhere(context, state):
+        if not state.accepted or leads_nowhere(context, state, to_the_end):
             break
         if revision and far_from_explained(context, state) and level(context, state) > 0.9 * before:
             return eliminate_needless(context, state), trials  # little came, and reopening what is far takes long
@@ -221,30 +229,44 @@ def select_and_revise(context: SearchContext, progress: Progression, most: int |
     return progress
 
 
-def add_effects(context: SearchContext, progress: Progression) -> Progression:
+def add_effects(context: SearchContext, progress: Progression, to_the_end: bool = False) -> Progression:
     """Add effects one by one, unless the first of them show that this leads nowhere."""
     most = context.settings.max_effects - len(progress[0].accepted)
     found = add_one_by_one(context, progress, min(most, FIRST_EFFECTS))
     taken = len(found[0].accepted) - len(progress[0].accepted)
-    if taken < FIRST_EFFECTS or leads_nowhere(context, found[0]):
+    if taken < FIRST_EFFECTS or leads_nowhere(context, found[0], to_the_end):
         return found
     return add_one_by_one(context, found, most - taken)
 
 
-def leads_nowhere(context: SearchContext, state: SearchState) -> bool:
+def leads_nowhere(context: SearchContext, state: SearchState, to_the_end: bool = False) -> bool:
     """Whether a search by forecasts had better begin anew, judged by forces."""
-    return beyond_noise(context, state, HOPELESS) or contradicts_forces(context, state)
+    return beyond_noise(context, state, HOPELESS) or (not to_the_end and contradicts_forces(context, state))
 
 
-def by_forces_if_need_be(context: SearchContext, progress: Progression) -> Progression:
-    """A search that begins anew, judged by forces, where noise is no yardstick or forces contradict what was found."""
+def by_forces_if_need_be(
+    context: SearchContext, progress: Progression, go_on: Callable[[Progression], Progression]
+) -> Progression:
+    """A search that begins anew, judged by forces, where noise is no yardstick or forces contradict what was found.
+
+    Where these come to little either, the search by forecasts goes on: the wrong first choice may still be revised.
+    """
     if contradicts_forces(context, progress[0]):
         log.info("what was found leaves more force unexplained than the model as it was: forces judge")
-        return search_by_forces(context, progress)
+        anew = search_by_forces(context, progress)
+        if explains_forces(context, anew[0]):
+            return anew
+        progress = go_on(progress)
     if not beyond_noise(context, progress[0]):
         return progress
     state, trials = search_by_forces(context, progress)
     return judge_by_noise(context, state), trials
+
+
+def explains_forces(context: SearchContext, state: SearchState) -> bool:
+    """Whether half of the unexplained force (squared) is explained."""
+    before = level(context, replace(state, accepted=()))
+    return judges_forces(state.windows.fit) and level(context, state) < 0.5 * before
 
 
 def search_by_forces(context: SearchContext, progress: Progression) -> Progression:

@@ -16,7 +16,7 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, lacking_forces, measured_motion
 from idapt_pl.diagnosis.search_state import SearchState, renew
-from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.diagnosis.simulator import Effects, Simulator
 
 FAR_BEYOND, HOPELESS = 1e3, 1e5
 """Held-out loss of a finished search from which noise is no yardstick, and that of one that leads nowhere."""
@@ -42,19 +42,33 @@ def contradicts_forces(context: SearchContext, state: SearchState) -> bool:
     """Whether effects leave much of forecasts unexplained, and more force than the model as it was given lacks.
 
     What goes on as it goes is forecast well by a rotor of great inertia, which takes torques that nobody measured.
-    Forces count in units of what a black box leaves of them, and tell nothing where they are near it.
+    Forces count in units of what a black box leaves of them, and tell nothing where they are near it. What the noise of
+    velocities makes of them does not count: a heavy body that is rightly named makes much of it.
     """
     if not state.accepted or not beyond_noise(context, state, UNEXPLAINED):
         return False
     given = replace(state, accepted=())
     nothing_explains, instants = unexplained_forces(context, given), instants_of(state.windows.sensitivity.held_out)
+    noisier = with_more_noise(context, state)
 
     def left(effects: Effects) -> float:
-        typical = 1.4826 * np.median(np.abs(lacking_forces(context.sim, effects, instants)), 0)
-        return float(np.sqrt(np.square(typical / (nothing_explains + 1e-12)).mean()))
+        lacking = lacking_forces(context.sim, effects, instants)
+        noise = lacking_forces(noisier, effects, instants) - lacking
+        typical, by_noise = (1.4826 * np.median(np.abs(x), 0) for x in (lacking, noise))
+        surely = np.maximum(np.square(typical) - np.square(by_noise), 0.0)
+        return float(np.sqrt((surely / np.square(nothing_explains + 1e-12)).mean()))
 
     before, after = left(given.effects), left(state.effects)
     return TELLING < before < after
+
+
+def with_more_noise(context: SearchContext, state: SearchState) -> Simulator:
+    """The recordings with the noise of velocities once more."""
+    rng, nv = np.random.default_rng(context.seed), context.sim.model.nv
+    size = state.windows.noise.sensors[nv : 2 * nv]
+    return context.sim.replaying(
+        [replace(r, qvel=r.qvel + size * rng.normal(size=r.qvel.shape)) for r in context.sim.data]
+    )
 
 
 def judge_by_forces(context: SearchContext, state: SearchState, size: np.ndarray) -> SearchState:

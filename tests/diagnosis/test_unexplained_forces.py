@@ -169,7 +169,11 @@ def test_a_heavy_rotor_contradicts_the_forces_that_were_measured_and_friction_do
 def test_an_answer_that_contradicts_forces_gives_way_to_the_usual_causes(noisier):
     context, state = noisier
     heavy = naming(context, state, JointArmature("*", 10.0))
-    after, _ = by_forces_if_need_be(context, (heavy, ()))
+
+    def go_on(progress):
+        raise AssertionError("forces explain it")
+
+    after, _ = by_forces_if_need_be(context, (heavy, ()), go_on)
     assert judges_forces(after.windows.fit)
     assert {"joint_damping(shoulder)", "joint_frictionloss(shoulder)"} <= {c.label for c in after.candidates}
     rotors = [a.x[0] for a in after.accepted if a.candidate.kind is JointArmature]
