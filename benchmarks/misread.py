@@ -25,8 +25,8 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
 import numpy as np
 import torch
-from tables import replace_rows
 
+from benchmarks.tables import replace_rows
 from cli.provenance import git_commit
 from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.rl.policy import Acting

@@ -19,6 +19,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import quick
+import torch
 import yaml
 from tables import replace_rows
 
@@ -43,8 +44,8 @@ def oracle_rows(example: Path, seed: int, steps: int) -> list[dict]:
     common = {"task": source, "target": target.get("name") or target["env"], "run": "oracle", "method": "oracle"}
     spread = {"mean": round(float(np.mean(returns)), 2), "std": round(float(np.std(returns)), 2)}
     minutes = round((time.perf_counter() - began) / 60, 1)
-    told = {"seed": seed, "metric": "return", "target_interactions": steps, "minutes": minutes, "threads": 1}
-    return [common | spread | told | {"commit": git_commit(), "cpu": cpu_model()}]
+    told = {"seed": seed, "metric": "return", "target_interactions": steps, "minutes": minutes}
+    return [common | spread | told | {"threads": torch.get_num_threads(), "commit": git_commit(), "cpu": cpu_model()}]
 
 
 def main() -> None:

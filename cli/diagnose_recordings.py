@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -21,7 +22,7 @@ from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
 from idapt_pl.diagnosis.claims import claim
 from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.held_joints import hold_still_joints
+from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
 from idapt_pl.effects.base import Effect
@@ -62,6 +63,8 @@ def diagnose_recordings(
     if o.fix:
         model = one_mended_model(model, faults)
     data, sets = join_recordings(o.data, each)
+    if o.fix:  # columns may be other joints' now
+        held = hold_still_joints(release(model), data)
     data = more_than_one(data)
 
     settings = QUICK_SETTINGS if o.quick else DEFAULT_SETTINGS
@@ -76,12 +79,8 @@ def diagnose_recordings(
             )  # fmt: skip
 
         try:
-
-            def finish(found: Diagnosis) -> Diagnosis:  # once pushes are left out, which must not be taken for laws
-                found = found if o.no_laws or o.quick else with_laws(found)
-                return found if o.fdr is None else claim(found, o.fdr)
-
-            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not (o.keep_all or o.quick), finish)
+            end = partial(finish, o=o)
+            diagnosis, stretches = diagnose_stretches(run, data, conditions_of(o), not (o.keep_all or o.quick), end)
             comparison = compare_sets(diagnosis, sets) if len(sets) > 1 else None
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
@@ -94,6 +93,12 @@ def diagnose_recordings(
         Console().print(escape(sentence), soft_wrap=True, highlight=False)
     print_comparison(comparison)
     return diagnosis
+
+
+def finish(found: Diagnosis, o: argparse.Namespace) -> Diagnosis:
+    """Look for laws, once pushes are left out, which must not be taken for laws; then name what is sure enough."""
+    found = found if o.no_laws or o.quick else with_laws(found)
+    return found if o.fdr is None else claim(found, o.fdr)
 
 
 PARTS = 4

@@ -11,6 +11,7 @@ from idapt_pl.diagnosis.result import EffectEstimate, Verdict
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.search_state import refit_accepted, renew
 from idapt_pl.diagnosis.summary import summarise_search
+from idapt_pl.effects.learned import LearnedForce
 
 
 def claim(found: Diagnosis, rate: float) -> Diagnosis:
@@ -36,7 +37,7 @@ def claim(found: Diagnosis, rate: float) -> Diagnosis:
         error=left.error,
         effects=[with_probability(e, probable.get(e.key)) for e in left.effects],
         signature=left.signature,
-        laws=without_laws_on(found.result.laws, {e.target for e in doubtful if e.effect == "learned_force"}),
+        laws=without_laws_on(found.result.laws, {e.target for e in doubtful if e.effect == LearnedForce.name}),
         false_discovery_rate=rate,
         not_named=doubtful,
     )

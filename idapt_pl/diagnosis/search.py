@@ -208,9 +208,8 @@ def select_and_revise(
 ) -> Progression:
     """Add effects until none helps (``most`` each time), then reopen earlier choices; where one changed, add again.
 
-    It breaks off where it leads nowhere (:func:`leads_nowhere`), ``to_the_end`` only if that is hopeless.
-
-    What was hidden behind a wrong first choice shows once that is put right.
+    What was hidden behind a wrong first choice shows once that is put right. The search breaks off where it leads
+    nowhere (:func:`leads_nowhere`); ``to_the_end`` not even if forces contradict it.
     """
     for revision in range(REVISIONS):
         before = level(context, progress[0])

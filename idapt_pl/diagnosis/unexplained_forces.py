@@ -100,7 +100,10 @@ def unexplained_forces(context: SearchContext, state: SearchState) -> np.ndarray
 
 
 def features_of(context: SearchContext, windows: Windows, v: int, rows: int) -> np.ndarray:
-    """What may explain the force on a degree of freedom in the control steps of windows, (n, f), if ``rows`` tell."""
+    """What may explain the force on a degree of freedom in the control steps of windows, (n, f).
+
+    Products of two places are among them where ``rows``, of the smaller part of the recordings, are many enough.
+    """
     sim, instants = context.sim, instants_of(windows)
     motion = measured_motion(sim, instants)
     commands = np.stack([sim.data[e].actions[s] for e, s in zip(instants.episode, instants.start, strict=True)])

@@ -76,7 +76,7 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
     simulated = said["env"].startswith(GYMNASIUMS)
-    find = make if simulated else functools.partial(import_from, said["env"], "target.env")
+    find = functools.partial(import_from, said["env"], "target.env")
     return RobotTarget(name, make, find, simulated, settings, actions, bool(said.get("measure", False)))
 
 

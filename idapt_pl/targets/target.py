@@ -142,7 +142,7 @@ class RobotTarget(Target):
     Attributes:
         name: as of :class:`Target`.
         make: makes the environment.
-        find: imports what makes it.
+        find: imports what makes it, where that is a user's.
         simulated: whether it is known to be a simulation, which anybody may reset at any time.
         settings: how it is played.
         actions: the source's to its own.
@@ -165,9 +165,10 @@ class RobotTarget(Target):
         return MappedActions(env, self.actions)
 
     def look_for(self, look: Look) -> None:
-        self.find()
         if self.simulated:
             draw_once(self.with_reward(1, look, asking=False))
+        else:
+            self.find()
 
 
 def draw_once(env: ImageEnv) -> None:
