@@ -29,6 +29,9 @@ log = logging.getLogger(__name__)
 STARTS = 32
 """Of the source, which stand for those of the target."""
 
+STARTS_WELL = 5
+"""Control steps, at least, in which half of the recordings are not lost, where they are said to begin well."""
+
 
 def labelled_images(
     c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
@@ -140,6 +143,20 @@ def labelled(data: Trajectories, smoothed: Sequence[Smoothed], lag: int) -> Traj
     if count < data.total_steps / 2:
         log.warning(
             "the source's physics and what is read of the target's images often disagree: look at translated.h5 and at "
-            "the effects found, as G or the source is off"
+            "the effects found, as G or the source is off%s",
+            when_lost([s.lost for s in smoothed]),
         )
     return replace(data, episodes=tuple(kept), source=f"{data.source}, states by smoothing")
+
+
+def when_lost(lost: Sequence[np.ndarray]) -> str:
+    """What to do where recordings, bool (T+1,) each, begin well and are lost on their way; else nothing."""
+    first = [int(np.argmax(steps)) for steps in lost if steps.any()]
+    begin = int(np.median(first)) if first else 0
+    if len(first) < len(lost) / 2 or begin < STARTS_WELL:
+        return ""
+    return (
+        f". Most episodes begin well and are lost from about control step {begin} on: if the robot has fallen by then, "
+        "or left the picture (see target.h5), begin exploring episodes anew before, by "
+        f"schedule.exploration_horizon {begin}"
+    )

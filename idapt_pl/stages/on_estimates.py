@@ -68,7 +68,7 @@ def fit_on_estimates(
         return c.worlds.grounded_over(c.worlds.training_source(c.batches.num_envs), G, F)
 
     fresh = c.teacher.to_be_hardened and not prefix
-    if step and c.teacher.settings.harden_again and not fresh:
+    if step and c.teacher.settings.harden_again and not fresh and count_steps(labelled[-1]):
         teacher = hardened(partial(errors_in_target, start, labelled, c.stages.folder(step) / "target.h5"))
     pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
     if not fresh:

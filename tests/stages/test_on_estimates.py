@@ -20,7 +20,7 @@ from idapt_pl.rl.policy import Acting, deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.smoothing import Smoothed
-from idapt_pl.stages.labels import labelled
+from idapt_pl.stages.labels import labelled, when_lost
 from idapt_pl.stages.on_estimates import errors_in_target, errors_of_estimates, in_rehearsals, read_episodes, take_over
 from idapt_pl.stages.schedule import StageLengths
 
@@ -442,6 +442,20 @@ def test_target_frames_that_nothing_explains_get_no_label():
     assert [e.observations["state"][:, 0].tolist() for e in kept] == [[0, 2, 4], [12, 14, 16, 18]]
     nothing = labelled(Trajectories((episode,), 0.1), [Smoothed(states, states, np.ones(10, bool))], 1)
     assert len(nothing) == 0
+
+
+def lost_from(*steps):
+    return [np.arange(51) >= step for step in steps]
+
+
+def test_recordings_that_are_lost_on_their_way_say_when(caplog):
+    assert "control step 20 on" in when_lost(lost_from(18, 20, 23, 60))
+    assert "schedule.exploration_horizon 20" in when_lost(lost_from(18, 20, 23, 60))
+    assert when_lost(lost_from(20, 60, 60)) == "", "most are never lost"
+    assert when_lost(lost_from(1, 1, 30)) == "", "it is lost from the beginning, so it does not fall"
+    episode = Episode(np.zeros((50, 1), np.float32), {"pixels": np.zeros((51, 4, 4, 3), np.uint8)})
+    labelled(Trajectories((episode,), 0.1), [Smoothed(np.zeros((51, 2)), np.zeros((51, 2)), lost_from(20)[0])], 1)
+    assert "exploration_horizon 20" in caplog.text
 
 
 def test_a_run_can_go_on_where_no_frame_got_a_label(tmp_path):
