@@ -4,8 +4,9 @@ The diagnosis looks for the effect with which the source replays what was read o
 that depend on the state, so the same diagnosis is made a second time on recordings of the source, seen through G: there
 nothing is missing, and what is found is an error of the sensor. What is found in the target is believed if the error
 there is clearly larger and most of the difference goes with it, or if a good share of the error goes with it and none
-such in the control; and if it is something else, or far more of the same. Of several effects each must say so for
-itself, of what is left when it is left out.
+such in the control; and if it is something else, or far more of the same. Where errors are within the sensor's noise
+its interval must not hold what the model has. Of several effects each must say so for itself, of what is left when it
+is left out.
 """
 
 from __future__ import annotations
@@ -156,6 +157,18 @@ def is_sensor_error(estimate: EffectEstimate, found_in_control: Sequence[EffectE
     return any(change(e) > 0.5 * change(estimate) for e in found_in_control if e.key == estimate.key)
 
 
+def is_within_noise(estimate: EffectEstimate, before: float) -> bool:
+    """Whether nothing tells that an effect is there.
+
+    It may be as the model has it, by the intervals of all its parameters, and without it the error is already below 1,
+    what the sensor's noise alone makes. Above it, one effect may hide how sure another is.
+    """
+    return before < 1 and all(
+        p.ci95 is not None and not isinstance(p.nominal, str) and p.ci95[0] < p.nominal < p.ci95[1]
+        for p in estimate.parameters.values()
+    )
+
+
 def diagnose_by_windows(
     task: Task, source: Domain, readings: CalibratedReadings, options: DiscoverySettings, seed: int
 ) -> ImageDiagnosis:
@@ -185,7 +198,10 @@ def diagnose_by_windows(
     target, negligible = drop_unconvincing(partial(diagnose_pieces, readings.target), options.max_effects, control)
     excess, explained = beyond_the_control(target.channels, control.channels)
     trusted = is_believable(excess, explained, target.removed_share, control.removed_share)
-    real = {e.key for e in target.estimates if trusted and not is_sensor_error(e, control.estimates)}
+    doubtful = [
+        e.key for e in target.estimates if is_sensor_error(e, control.estimates) or is_within_noise(e, target.before)
+    ]
+    real = {e.key for e in target.estimates if trusted and e.key not in doubtful}
     for e in target.estimates:
         log.info("effect found from images: %s", e.to_dict())
     for e in negligible:

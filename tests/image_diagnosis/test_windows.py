@@ -25,6 +25,7 @@ from idapt_pl.image_diagnosis.windows import (
     drop_unconvincing,
     is_believable,
     is_sensor_error,
+    is_within_noise,
 )
 from idapt_pl.tasks import make_task
 
@@ -218,6 +219,24 @@ def test_what_is_found_in_the_control_counts_by_how_much_of_it_there_is():
 
     assert is_sensor_error(delay(0.04), [delay(0.03)]) and not is_sensor_error(delay(0.04), [delay(0.01)])
     assert not is_sensor_error(delay(0.04), [delay(0.04, "elsewhere")]) and not is_sensor_error(delay(0.04), [])
+
+
+@pytest.mark.parametrize(
+    ("intervals", "doubtful"),
+    [
+        ([(0.02, 1.18)], True),  # a motor's gain that was once believed
+        ([(0.53, 0.66)], False),
+        ([(1.0, 1.18)], False),
+        ([None], False),
+        ([(0.02, 1.18), (0.53, 0.66)], False),
+        ([(0.02, 1.18), (0.9, 1.1)], True),
+    ],
+)
+def test_within_noise_an_effect_whose_interval_holds_what_the_model_has_is_not_believed(intervals, doubtful):
+    parameters = {str(i): ParameterEstimate(1.0, 0.6, ci95, "1") for i, ci95 in enumerate(intervals)}
+    found = EffectEstimate("actuator_gain", "motor", parameters, {}, 1.0, 2.0, ())
+    assert is_within_noise(found, 0.55) is doubtful
+    assert not is_within_noise(found, 1.5), "there is something to explain"
 
 
 def test_a_sensor_is_calibrated_on_frames_of_known_state(tmp_path):
