@@ -253,11 +253,6 @@ class RunConfig:
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
         check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.labels.members, self.schedule)
-        if self.teacher.harden_again and not self.labels.members:
-            raise ValueError(
-                f"teacher.harden_again is {self.teacher.harden_again}, but labels.members is 0: labels tell how wrong "
-                "estimates are in the target. Give both, or teacher.harden_again 0"
-            )
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "

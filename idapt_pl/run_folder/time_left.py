@@ -96,8 +96,6 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if t.harden and (not k or costs["teacher"]):  # whenever the teacher is another one
         again = {name: cost for name, cost in learning_costs(config, lengths, 0, "hardened_").items() if "_" in name}
         costs |= again | {"hardened_teacher": 0.008 * t.harden, "trial_rehearsal": costs["rehearsal_policy"]}
-    elif k:
-        costs["hardened_teacher"] = 0.008 * t.harden_again
     return costs
 
 

@@ -56,9 +56,6 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
-        harden_again: environment steps for which it goes on, in every later grounding step, with the errors that
-            estimates had in the target, as ``labels`` tell them. Some states are read well in the grounded source and
-            badly in the target.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
     """
@@ -73,11 +70,10 @@ class TeacherSettings:
     fading: float = 0.5
     updates_per_step: float = 1.0
     harden: int = 0
-    harden_again: int = 0
     candidates: int = 1
 
     def __post_init__(self) -> None:
-        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden", "harden_again"), COUNT_OR_NONE)
+        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden"), COUNT_OR_NONE)
         errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
         check_ranges(
             "teacher",
@@ -92,12 +88,11 @@ class TeacherSettings:
                 "a teacher trains (steps) and is imitated (dagger) or acts on estimates (rehearse). Give both: steps "
                 "and one of these, or none."
             )
-        for name in ("harden", "harden_again"):
-            if getattr(self, name) and not self.rehearse:
-                raise ValueError(
-                    f"teacher.{name} is {getattr(self, name)}, but teacher.rehearse is 0: only a policy that acts on "
-                    f"estimates has errors to bear. Give both, or teacher.{name} 0"
-                )
+        if self.harden and not self.rehearse:
+            raise ValueError(
+                f"teacher.harden is {self.harden}, but teacher.rehearse is 0: errors are measured in rehearsals. "
+                "Give both, or teacher.harden 0"
+            )
         if self.strays and not self.dagger:
             raise ValueError(
                 f"teacher.strays is {self.strays}, but they are DAgger's: give teacher.dagger, or no strays"
@@ -260,10 +255,9 @@ class Distillation:
         make_env: Callable[[torch.device], VectorEnv], F: ActionTransformation | None,
     ) -> StateSAC:  # fmt: skip
         """The teacher of :meth:`up_to_date` after it has learned to bear measured errors (T, s)."""
-        steps = self.settings.harden if self.to_be_hardened else self.settings.harden_again
-        recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=steps)
+        recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=self.settings.harden)
         known = self.expert
-        assert known is not None  # it was asked for before
+        assert known is not None  # to_be_hardened
 
         def make(device: torch.device) -> VectorEnv:
             return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))

@@ -8,7 +8,7 @@ and then on the policy's.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,6 @@ from datamodules import Trajectories
 from datamodules.on_policy import encode_all
 from datamodules.stacks import FrameStacks
 from datamodules.stretches import ReadEpisode, StretchDataModule
-from datamodules.trajectories import count_steps
 from datamodules.unpaired import read_all
 from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
@@ -60,22 +59,17 @@ def fit_on_estimates(
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
-
-    def hardened(errors: Callable[[], Sequence[np.ndarray]]) -> StateSAC:
-        return c.teacher.hardened(step, partial(c.new_policy, start), errors, grounded, F)
+    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
+    if prefix or not c.teacher.to_be_hardened:
+        return pi
+    trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
 
     def grounded(device: torch.device) -> GroundedEnv:
         return c.worlds.grounded_over(c.worlds.training_source(c.batches.num_envs), G, F)
 
-    fresh = c.teacher.to_be_hardened and not prefix
-    if step and c.teacher.settings.harden_again and not fresh and count_steps(labelled[-1]):
-        teacher = hardened(partial(errors_in_target, start, labelled, c.stages.folder(step) / "target.h5"))
-    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
-    if not fresh:
-        return pi
-    trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
-    teacher = hardened(partial(errors_of_estimates, pi, [trial]))
-    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], teacher, pi, G, F)
+    errors = partial(errors_of_estimates, pi, [trial])
+    hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
+    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F)
 
 
 def in_rehearsals(
@@ -104,23 +98,6 @@ def errors_of_estimates(pi: AsymmetricSAC, files: Sequence[Path]) -> list[np.nda
         estimates, _ = pi.filter(readings, actions, readings.new_zeros(1, pi.filter.hidden))
         wrong = pi.filter.bounded(estimates[0]).cpu() - torch.from_numpy(episode.states)
         errors.append((wrong * pi.actor.encoder.std.cpu()).numpy())
-    return errors
-
-
-def errors_in_target(pi: AsymmetricSAC, labelled: Sequence[Path], newest: Path) -> list[np.ndarray]:
-    """How far estimates were off while π acted in the target, (T+1, s) each, as its labels by physics tell.
-
-    Args:
-        pi: as it acted, before it learns from these labels.
-        labelled: trajectory files; the last one has the target's recordings, the newest last.
-        newest: the target's newest recording, which says how many control steps are π's.
-    """
-    left, errors = count_steps(newest), []
-    for error in reversed(errors_of_estimates(pi, labelled[-1:])):
-        if left <= 0:
-            break
-        errors.append(error)
-        left -= len(error) - 1
     return errors
 
 
