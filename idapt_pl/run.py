@@ -81,11 +81,12 @@ class Run:
         if config.method == "idapt":
             check_recordings(worlds.target, config.schedule)
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
-        teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size)
+        if worlds.target.alone and worlds.target.measured:  # what is set aside plays it too
+            aside = in_turn
+        teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size, aside)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
         check_modules(context)
-        alone = worlds.target.alone and worlds.target.measured  # what is set aside plays it too
-        return cls(config, context, in_turn if alone else aside)
+        return cls(config, context, aside)
 
     @classmethod
     def open(cls, folder: Path, make_trainer: MakeTrainer = cpu_trainer) -> Run:

@@ -53,7 +53,7 @@ def expected_seconds(config: Any, beside: bool = False) -> dict[tuple[int, str],
         every |= {(k, name): cost for name, cost in step_costs(config, k).items()}
         if beside:
             every.pop((k - 1, "evaluation"), None)
-    return {key: cost for key, cost in every.items() if cost > 0}
+    return {key: cost for key, cost in every.items() if cost > 0 and not (beside and key[1] == "teacher_2")}
 
 
 def begin_costs(config: Any, beside: bool) -> dict[str, float]:

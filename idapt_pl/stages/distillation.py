@@ -24,6 +24,7 @@ from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import noisy_return
 from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages
+from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
@@ -159,12 +160,14 @@ class Distillation:
         num_envs: simulations that the student acts in side by side.
         batch: labelled observations in a minibatch.
         memory: labelled observations kept.
+        aside: starts candidates beside the first one.
     """
 
     def __init__(
-        self, worlds: Worlds, stages: Stages, settings: TeacherSettings, num_envs: int, batch: int, memory: int
-    ) -> None:
-        self.worlds, self.stages, self.settings = worlds, stages, settings
+        self, worlds: Worlds, stages: Stages, settings: TeacherSettings, num_envs: int, batch: int, memory: int,
+        aside: Aside = in_turn,
+    ) -> None:  # fmt: skip
+        self.worlds, self.stages, self.settings, self.aside = worlds, stages, settings, aside
         self.num_envs, self.batch, self.memory = num_envs, batch, memory
         self.expert: StateSAC | None = None
         self._first: StateSAC | None = None  # before any adaptation
@@ -240,7 +243,13 @@ class Distillation:
 
         count = self.settings.candidates if F is None and not fresh else 1
         names = [name, *(f"{name}_{i}" for i in range(2, count + 1))]
-        trained = [fit_expert(build_expert, make, recipe, self.stages, step, n, fresh) for n in names]
+
+        def train(n: str) -> StateSAC:
+            return fit_expert(build_expert, make, recipe, self.stages, step, n, fresh)
+
+        checkpoints = {n: self.stages.folder(step) / n / "final.ckpt" for n in names[1:]}
+        others = [self.aside(f"{n}_of_step_{step}", last, partial(train, n)) for n, last in checkpoints.items()]
+        trained = [train(name), *(trained_aside() for trained_aside in others)]
         self.expert = trained[self.best_of(step, name, trained)]
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert

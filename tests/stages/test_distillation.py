@@ -1,6 +1,7 @@
 """The privileged teacher: labels, learning from them, going on from them, and what a run with it leaves."""
 
 import json
+import shutil
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -270,6 +271,35 @@ def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_repaired_sou
     weights = teaching.expert.state_dict()
     same = [all(torch.equal(weights[k], v) for k, v in each.items()) for each in kept]
     assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
+
+
+def test_teachers_beside_the_first_one_are_the_same(teaching, tmp_path):
+    """Those set aside begin before the first one, end in files of their own and are asked for after it."""
+    teaching.settings = replace(teaching.settings, candidates=3)
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    before, asked = (teaching.expert, teaching._dynamics), []
+
+    def later(name, last, work):
+        assert not (tmp_path / "step_00/teacher/final.ckpt").exists()
+
+        def result():
+            asked.append((name, last.relative_to(tmp_path).as_posix()))
+            return work()
+
+        return result
+
+    student(0, "")
+    names = ("teacher", "teacher_2", "teacher_3")
+    in_turn = [checkpoint(tmp_path, f"step_00/{n}") for n in names]
+    shutil.rmtree(tmp_path / "step_00")
+    (teaching.expert, teaching._dynamics), teaching.aside = before, later
+    student(0, "")
+    assert asked == [(f"{n}_of_step_0", f"step_00/{n}/final.ckpt") for n in names[1:]]
+    for name, kept in zip(names, in_turn, strict=True):
+        again = checkpoint(tmp_path, f"step_00/{name}")
+        assert all(torch.equal(v, again[k]) for k, v in kept.items()), name
 
 
 def test_a_misled_teacher_sees_other_states_in_every_episode(cart):
