@@ -4,36 +4,34 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchvision.utils import make_grid
 
-from datamodules import Episode
-from datamodules.stacks import FrameStacks
 from idapt_pl.checkpoints import read_checkpoint
 from idapt_pl.files import blaming
 from idapt_pl.losses import GAN_LOSSES, flicker, patch_nce
 from idapt_pl.modules.image_pool import ImagePool
-from idapt_pl.modules.manual import ManualModule, fast_precision
+from idapt_pl.modules.manual import fast_precision
+from idapt_pl.modules.translator import ImageTranslator
 from idapt_pl.modules.weight_average import warmed_up_average
 from idapt_pl.nets.contrastive import PatchProjector
 from idapt_pl.nets.encoder import PixelStatePredictor, Vision
-from idapt_pl.nets.images import height_width, in_one_pass, jitter, mean_images, stack_channels, to_float, to_pixels
+from idapt_pl.nets.images import height_width, in_one_pass, jitter, mean_images, stack_channels, to_float
 from idapt_pl.nets.translation import PatchDiscriminator, ResnetGenerator
 
 SMALLEST = 24
 """Side of the smallest images from which a PatchGAN has more than one place left to normalise over, pixels."""
 
 
-class VisualTransformation(ManualModule):
+class VisualTransformation(ImageTranslator):
     """G: source images to target-style images, trained unpaired, with the state kept by P^T.
 
     L = L_CycleGAN(o^S, o^T) + λ |P^T(G(o^S)) - s|₁. P^T starts as a copy of P^S and only its first
@@ -163,27 +161,6 @@ class VisualTransformation(ManualModule):
         return module.eval()
 
     @property
-    def frames(self) -> int:
-        """How many frames G translates at a time."""
-        return 1 if self.hparams.translate == "frame" else self.hparams.frame_stack
-
-    @property
-    def translator(self) -> ResnetGenerator:
-        """G as it is used after training: the average of its weights, if there is one."""
-        return self.G if self.G_average is None else self.G_average.module
-
-    @property
-    def backwards(self) -> ResnetGenerator:
-        """The way back, target to source.
-
-        Raises:
-            ValueError: if there is none.
-        """
-        if self.G_back is None:
-            raise ValueError("this model is one-sided (contrastive): it translates source images to the target only")
-        return self.G_back
-
-    @property
     def estimator(self) -> PixelStatePredictor:
         """P^T, where there is a state to estimate."""
         assert self.P_T is not None, "this model was made without a state: state_dim is 0"
@@ -203,44 +180,6 @@ class VisualTransformation(ManualModule):
         self.P_T = copy.deepcopy(P_S)
         self.P_T.requires_grad_(False)
         self.P_T.encoder.convs[: self.hparams.finetune_convs].requires_grad_(True)
-
-    @torch.no_grad()
-    def translate(self, pixels: np.ndarray) -> np.ndarray:
-        """G on frames as an environment gives them: uint8 (n, k, H, W, 3) to the same, k = :attr:`frames`."""
-        n, k, h, w, _ = pixels.shape
-        with fast_precision(self.device, self.hparams.bf16):
-            fake = self.translator(stack_channels(torch.from_numpy(pixels).to(self.device)))
-        return to_pixels(fake.unflatten(1, (k, 3))).cpu().numpy().reshape(n, k, h, w, 3)
-
-    def translate_episode(self, episode: Episode) -> Episode:
-        """A source episode with images as G shows them; actions and other observations stay as they are."""
-        stacks = FrameStacks([episode], self.frames).stacks(np.arange(len(episode) + 1))
-        return replace(episode, observations={**episode.observations, "pixels": self.translate(stacks)[:, -1]})
-
-    def translate_stacks(self, pixels: Tensor, back: bool = False) -> Tensor:
-        """Whole stacks, uint8 (B, K, H, W, 3) to the same; ``back`` takes target images to the source's look."""
-        k = pixels.shape[1]
-        net = self.backwards if back else self.translator
-        groups = pixels.unflatten(1, (k // self.frames, self.frames)).flatten(0, 1)
-        with fast_precision(self.device, self.hparams.bf16):
-            fake = net(stack_channels(groups))
-        return to_pixels(fake.unflatten(1, (self.frames, 3))).reshape(pixels.shape)
-
-    def validation_step(self, batch: dict, index: int) -> dict[str, Tensor]:
-        """Translated stacks of the domains in the batch, for the callbacks that measure and show them."""
-        found = {}
-        if batch.get("source") is not None:
-            found["source"] = self.translate_stacks(batch["source"]["pixels"])
-        if batch.get("target") is not None and self.G_back is not None:
-            found["target"] = self.translate_stacks(batch["target"]["pixels"], back=True)
-        return found
-
-    test_step = validation_step
-
-    def predict_step(self, batch: dict, index: int) -> Tensor:
-        """Translated stacks of the one domain in the batch."""
-        (domain,) = batch
-        return self.translate_stacks(batch[domain]["pixels"], back=domain == "target")
 
     def on_fit_start(self) -> None:
         """Set the backgrounds of new generators from the training images."""
