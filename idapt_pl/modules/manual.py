@@ -45,14 +45,17 @@ class ManualModule(L.LightningModule):
         """Zero gradients, backpropagate to the optimizer's parameters alone, clip the norm if asked to, step."""
         optimizer.zero_grad(set_to_none=True)
         own = [p for group in optimizer.param_groups for p in group["params"] if p.requires_grad]
-        plain = self.plain
-        if plain:
+        if self.plain:
             loss.backward(inputs=own)
         else:
             self.manual_backward(loss, inputs=own)
         if clip is not None:
             self.clip_gradients(optimizer, gradient_clip_val=clip, gradient_clip_algorithm="norm")
-        (getattr(optimizer, "optimizer", optimizer) if plain else optimizer).step()
+        self.step(optimizer)
+
+    def step(self, optimizer: torch.optim.Optimizer) -> None:
+        """A step of an optimizer whose parameters have gradients."""
+        (getattr(optimizer, "optimizer", optimizer) if self.plain else optimizer).step()
 
     def descend_each(
         self, optimizer: torch.optim.Optimizer, makers: Sequence[Callable[[], Losses]], bf16: bool = False

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from idapt_pl.modules.actor_critic import Actor
 from idapt_pl.modules.manual import fast_precision
 from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNoise
-from idapt_pl.modules.sac import SAC, Actor, unstack
+from idapt_pl.modules.sac import SAC, unstack
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision
 from idapt_pl.nets.images import relight, stack_channels
@@ -201,6 +202,10 @@ class AsymmetricSAC(SAC):
     def supervised(self) -> bool:
         """Whether f(o) is regressed on the source's states."""
         return self.hparams.encoder == "supervised"
+
+    @property
+    def heads_alone(self) -> bool:
+        return self.supervised and super().heads_alone
 
     def trained_by_the_actor_loss(self) -> list[nn.Parameter]:
         return list((self.actor.head if self.supervised else self.actor).parameters())

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target
+from idapt_pl.modules.actor_critic import Actor, TwinCritic
 from idapt_pl.modules.policy import AsymmetricSAC
-from idapt_pl.modules.sac import Actor, TwinCritic
 
 REMEMBERED = ("ended", "before", "actor_memory", "critic_memory")
 """What replay keeps of a transition beside it: whether it ended its episode, and what was known before it."""
@@ -92,9 +92,9 @@ class RecurrentCritic(nn.Module):
         self.recurrence = Recurrence(state_dim, len(actor.center), recurrent)
         self.twin = TwinCritic(self.recurrence.features, actor, hidden)
 
-    def forward(self, seen: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
+    def forward(self, seen: Tensor, action: Tensor) -> Tensor:
         """Both values, (2, n), of what :attr:`recurrence` gives (n, d) and actions (n, nu)."""
-        return self.twin(seen, action, frozen)
+        return self.twin(seen, action)
 
 
 class RecurrentSAC(AsymmetricSAC):
@@ -156,15 +156,12 @@ class RecurrentSAC(AsymmetricSAC):
         action, log_prob = self.actor(self.actor_sees(batch)[:, :-1].flatten(0, 1))
         with torch.no_grad():
             known = self.critic_sees(batch, self.critic)[:, :-1].flatten(0, 1)
-        q = torch.minimum(*self.critic(known, action, frozen=True))
+        q = torch.minimum(*self.critic(known, action))
         alpha, share = self.log_alpha.exp(), counts / counts.sum()
         loss = ((alpha.detach() * log_prob - q) * share).sum()
-        objective = loss
-        if self.hparams.learn_temperature:
-            target = self.hparams.target_entropy
-            target = -float(action.shape[-1]) if target is None else target
-            objective = loss - alpha * ((log_prob.detach() * share).sum() + target)
-        self.descend(self.optimizers()[1], objective)
+        target = self.entropy_wanted
+        of_alpha = 0.0 if target is None else alpha * ((log_prob.detach() * share).sum() + target)
+        self.descend(self.optimizers()[1], loss - of_alpha)
         told = {"policy/actor_loss": loss.detach(), "policy/entropy": -log_prob.detach()}
         return told | {"policy/temperature": alpha.detach()}
 

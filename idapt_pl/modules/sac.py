@@ -3,88 +3,19 @@
 from __future__ import annotations
 
 import copy
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
 import numpy as np
 import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
-from idapt_pl.losses import sac_target, squashed_log_prob
+from idapt_pl.losses import sac_target
+from idapt_pl.modules.actor_critic import Actor, TwinCritic
 from idapt_pl.modules.manual import ManualModule
 from idapt_pl.modules.observation_noise import NoObservationNoise
-from idapt_pl.nets.encoder import orthogonal_init
-from idapt_pl.nets.mlp import mlp
-from idapt_pl.nets.relu_net import relu_net
+from idapt_pl.modules.sac_gradients import actor_gradients, critic_gradients
 from idapt_pl.nets.state_filter import Memory
-
-HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
-
-
-class Actor(nn.Module):
-    """π(a|o): an encoder f of observations and an MLP head, a tanh-squashed Gaussian scaled to the action bounds.
-
-    Args:
-        encoder: f; its ``features`` is the size d of f(o).
-        action_low: lower bounds (nu,), in the actuators' units.
-        action_high: upper bounds (nu,).
-        hidden: of the head.
-        seen: size of what the head sees of f(o), if that is not f(o) itself.
-    """
-
-    def __init__(
-        self, encoder: nn.Module, action_low: Sequence[float], action_high: Sequence[float], hidden: Sequence[int],
-        seen: int | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__()
-        low, high = torch.tensor(action_low), torch.tensor(action_high)
-        self.encoder = encoder
-        self.head = mlp(seen or encoder.features, hidden, 2 * len(low))
-        self.head.apply(orthogonal_init)
-        self.register_buffer("center", (high + low) / 2)
-        self.register_buffer("half_range", (high - low) / 2)
-
-    def forward(self, features: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor]:
-        """Action in physical units (n, nu) and its log-probability density on (-1, 1)^nu, (n,), for f(o) (n, d)."""
-        mean, log_std = self.gaussian(features)
-        noise = torch.zeros_like(mean) if deterministic else torch.randn_like(mean)
-        u = mean + log_std.exp() * noise
-        log_prob = -0.5 * noise.square() - log_std - HALF_LOG_2PI
-        return self.center + self.half_range * torch.tanh(u), squashed_log_prob(log_prob, u)
-
-    def gaussian(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log of the spread of what is squashed by tanh and scaled to the bounds, (n, nu) each."""
-        mean, log_std = relu_net(self.head, features).float().chunk(2, -1)
-        return mean, torch.tanh(log_std).mul(3.5).sub(1.5)  # in [-5, 2]
-
-    def normalise(self, actions: Tensor) -> Tensor:
-        """Actions in physical units to -1..1."""
-        return (actions - self.center) / self.half_range
-
-
-class TwinCritic(nn.Module):
-    """Two Q(s, a) on states, never on images.
-
-    Args:
-        state_dim: size of s.
-        actor: whose action bounds scale a.
-        hidden: of both.
-    """
-
-    def __init__(self, state_dim: int, actor: Actor, hidden: Sequence[int]) -> None:
-        super().__init__()
-        inputs = state_dim + len(actor.center)
-        self.nets = nn.ModuleList(mlp(inputs, hidden, 1) for _ in range(2))
-        self.nets.apply(orthogonal_init)
-        self.register_buffer("center", actor.center.clone())
-        self.register_buffer("half_range", actor.half_range.clone())
-
-    def forward(self, state: Tensor, action: Tensor, frozen: bool = False) -> Tensor:
-        """Both values, (2, n), of states (n, s) and actions in physical units (n, nu); ``frozen`` as they are."""
-        x = torch.cat([state, (action - self.center) / self.half_range], -1)
-        return torch.cat([relu_net(net, x, frozen) for net in self.nets], -1).mT
 
 
 class SAC(ManualModule, ABC):
@@ -168,9 +99,13 @@ class SAC(ManualModule, ABC):
             target = sac_target(
                 rewards, batch["terminations"], next_q, log_prob, self.log_alpha.exp(), self.hparams.gamma
             )
-        q = self.critic(batch["state"], batch["actions"])
-        loss = nnf.mse_loss(q, target.expand_as(q)) * 2
-        self.descend(self.optimizers()[0], loss)
+        if self.heads_alone:
+            loss, q = critic_gradients(self.critic, batch["state"], batch["actions"], target)
+            self.step(self.optimizers()[0])
+        else:
+            q = self.critic(batch["state"], batch["actions"])
+            loss = nnf.mse_loss(q, target.expand_as(q)) * 2
+            self.descend(self.optimizers()[0], loss)
         return {"policy/critic_loss": loss.detach(), "policy/q": q.detach()}
 
     def shaped_rewards(self, batch: dict[str, Tensor]) -> Tensor:
@@ -179,21 +114,34 @@ class SAC(ManualModule, ABC):
 
     def actor_step(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Improve the actor on α log π - min Q, and the temperature, in one descent: they share no parameter."""
-        action, log_prob = self.actor(self.features(batch["observation"]))
-        q = torch.minimum(*self.critic(batch["state"], action, frozen=True))
-        alpha = self.log_alpha.exp()
-        loss = (alpha.detach() * log_prob - q).mean()
-        objective = loss
-        if self.hparams.learn_temperature:
-            target = self.hparams.target_entropy
-            target = -float(action.shape[-1]) if target is None else target
-            objective = loss - alpha * (log_prob.detach().mean() + target)
-        self.descend(self.optimizers()[1], objective)
+        features, alpha, target = self.features(batch["observation"]), self.log_alpha.exp(), self.entropy_wanted
+        if self.heads_alone:
+            loss, log_prob = actor_gradients(self.actor, self.critic, self.log_alpha, features, batch["state"], target)
+            self.step(self.optimizers()[1])
+        else:
+            action, log_prob = self.actor(features)
+            q = torch.minimum(*self.critic(batch["state"], action))
+            loss = (alpha.detach() * log_prob - q).mean()
+            of_alpha = 0.0 if target is None else alpha * (log_prob.detach().mean() + target)
+            self.descend(self.optimizers()[1], loss - of_alpha)
         return {
             "policy/actor_loss": loss.detach(),
             "policy/entropy": -log_prob.detach(),
             "policy/temperature": alpha.detach(),
         }
+
+    @property
+    def entropy_wanted(self) -> float | None:
+        """What the policy's entropy is kept at by its temperature, nats; None where that stays."""
+        wanted = self.hparams.target_entropy
+        if not self.hparams.learn_temperature:
+            return None
+        return -float(len(self.actor.center)) if wanted is None else wanted
+
+    @property
+    def heads_alone(self) -> bool:
+        """Whether nothing but nets of linear layers learns, in float32: their gradients are written out."""
+        return self.plain
 
     @torch.no_grad()
     def track_critic(self) -> None:

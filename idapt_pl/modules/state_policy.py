@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from idapt_pl.modules.actor_critic import Actor
 from idapt_pl.modules.observation_noise import NoObservationNoise, RecordedErrors, SlowNoise
-from idapt_pl.modules.sac import SAC, Actor
+from idapt_pl.modules.sac import SAC
 
 
 class Standardise(nn.Module):

@@ -1,35 +1,77 @@
-"""A multilayer perceptron with ReLU as one step of autograd, on oneDNN's products where they are quicker.
+"""A multilayer perceptron with ReLU without autograd: its values, and its gradients written out.
+
+Autograd spends more time on small nets than their products take (``benchmarks/sac_speed.py``).
 
 PyTorch multiplies float32 matrices with MKL, which on AMD's processors keeps to AVX2. Where they have AVX-512, oneDNN,
 which PyTorch brings along for convolutions, is nearly twice as quick. Elsewhere it is slower, as it spends some 30 µs
-more on every call: on Intel's processors, where MKL takes AVX-512 too, and where there is none. There the layers one by
-one on MKL are quickest. ``benchmarks/sac_speed.py`` measures it.
+more on every call: on Intel's processors, where MKL takes AVX-512 too, and where there is none.
 """
 
 from __future__ import annotations
 
 import platform
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import torch
+import torch.nn.functional as nnf
 from jaxtyping import Float
 from torch import Tensor, nn
 
 
-def relu_net(net: nn.Sequential, x: Float[Tensor, "n i"], frozen: bool = False) -> Float[Tensor, "n o"]:
-    """What ``net(x)`` returns, for linear layers with ReLU between them.
+def linear_layers(net: nn.Sequential) -> list[nn.Linear]:
+    """The linear layers of a net as :func:`~idapt_pl.nets.mlp.mlp` makes it; there is a ReLU between any two."""
+    return [layer for layer in net if isinstance(layer, nn.Linear)]
+
+
+@torch.no_grad()
+def relu_net(layers: Sequence[nn.Linear], x: Float[Tensor, "n i"]) -> tuple[Float[Tensor, "n o"], list[Tensor]]:
+    """What a net makes of x, and what each of its layers was given."""
+    inputs, last = [], len(layers) - 1
+    for i, layer in enumerate(layers):
+        inputs.append(x)
+        x = product(x, layer.weight, layer.bias, relu=i < last)
+    return x, inputs
+
+
+@torch.no_grad()
+def relu_net_gradients(
+    layers: Sequence[nn.Linear],
+    inputs: Sequence[Tensor],
+    g: Float[Tensor, "n o"],
+    of_weights: bool = True,
+    of_input: bool = False,
+) -> Float[Tensor, "n i"] | None:
+    """Backpropagate through a net.
 
     Args:
-        net: as :func:`~idapt_pl.nets.mlp.mlp` makes it.
-        x: inputs.
-        frozen: gradients flow to ``x`` alone.
+        layers: of the net.
+        inputs: as :func:`relu_net` gave them.
+        g: gradient of a loss by the net's output.
+        of_weights: set ``grad`` of weights and biases (what was there is replaced).
+        of_input: go on to the net's input.
+
+    Returns:
+        The gradient by the net's input, if asked for.
     """
-    layers = [layer for layer in net if isinstance(layer, nn.Linear)]
-    if x.device.type != "cpu" or torch.is_autocast_enabled("cpu") or not onednn_is_quicker():
-        return net(x)
-    return ReLUNet.apply(x, frozen, *(p for layer in layers for p in (layer.weight, layer.bias)))
+    for i in reversed(range(len(layers))):
+        weight, bias = layers[i].weight, layers[i].bias
+        if of_weights:
+            weight.grad, bias.grad = product(g.t(), inputs[i].t()), g.sum(0)
+        if i or of_input:
+            g = product(g, weight.t())
+        if i:
+            g = torch.ops.aten.threshold_backward(g, inputs[i], 0)
+    return g if of_input else None
+
+
+def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, relu: bool = False) -> Tensor:
+    """X W^T + b, and ReLU of it."""
+    if x.device.type == "cpu" and onednn_is_quicker():
+        return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "relu" if relu else "none", [], "")
+    out = nnf.linear(x, weight, bias)
+    return out.relu_() if relu else out
 
 
 @cache
@@ -45,39 +87,3 @@ def made_by_intel() -> bool:
         return "GenuineIntel" in Path("/proc/cpuinfo").read_text()
     except OSError:  # not Linux
         return "Intel" in platform.processor()
-
-
-def product(x: Tensor, weight: Tensor, bias: Tensor | None = None, then: str = "none") -> Tensor:
-    """X W^T + b by oneDNN, ``then`` "relu" or nothing."""
-    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, then, [], "")
-
-
-class ReLUNet(torch.autograd.Function):
-    """Linear layers with ReLU between them; parameters are weight and bias of each layer in turn."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, frozen: bool, *parameters: Tensor) -> Tensor:
-        ctx.frozen = frozen
-        inputs, last = [], len(parameters) - 2
-        for i in range(0, len(parameters), 2):
-            inputs.append(x)
-            x = product(x, parameters[i], parameters[i + 1], "none" if i == last else "relu")
-        ctx.save_for_backward(*inputs, *parameters[::2])
-        return x
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        (g,), saved = gradients, ctx.saved_tensors
-        inputs, weights = saved[: len(saved) // 2], saved[len(saved) // 2 :]
-        found: list[Tensor | None] = [None] * (2 + 2 * len(weights))
-        for i in reversed(range(len(weights))):
-            if not ctx.frozen:
-                found[2 + 2 * i] = product(g.t(), inputs[i].t())
-                found[3 + 2 * i] = g.sum(0)
-            if i or ctx.needs_input_grad[0]:
-                g = product(g, weights[i].t())
-            if i:
-                g = torch.ops.aten.threshold_backward(g, inputs[i], 0)
-        found[0] = g if ctx.needs_input_grad[0] else None
-        return tuple(found)

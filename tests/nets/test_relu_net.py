@@ -1,47 +1,48 @@
-"""The net in one step is the net layer by layer."""
+"""A net without autograd has the values and the gradients of its layers."""
 
 import pytest
 import torch
 
 from idapt_pl.nets import relu_net as module
 from idapt_pl.nets.mlp import mlp
-from idapt_pl.nets.relu_net import relu_net
+from idapt_pl.nets.relu_net import linear_layers, relu_net, relu_net_gradients
 
 
-@pytest.fixture(autouse=True)
-def in_one_step(monkeypatch):
-    """Also on processors where the layers one by one are quicker."""
-    if not torch.backends.mkldnn.is_available():
+@pytest.fixture(autouse=True, params=[True, False], ids=["oneDNN", "MKL"])
+def products(request, monkeypatch):
+    """Of either library, whatever the processor."""
+    if request.param and not torch.backends.mkldnn.is_available():
         pytest.skip("this build of PyTorch has no oneDNN")
-    monkeypatch.setattr(module, "onednn_is_quicker", lambda: True)
+    monkeypatch.setattr(module, "onednn_is_quicker", lambda: request.param)
 
 
 @pytest.mark.parametrize("hidden", [[32, 16], [8], []])
 def test_values_and_gradients_are_those_of_the_layers(hidden):
     net, x = mlp(5, hidden, 3), torch.randn(7, 5, requires_grad=True)
-    leaves = [x, *net.parameters()]
-    expected, made = net(x), relu_net(net, x)
+    layers, expected = linear_layers(net), net(x)
+    made, inputs = relu_net(layers, x.detach())
     torch.testing.assert_close(made, expected)
+    by_x = relu_net_gradients(layers, inputs, 2 * made, of_input=True)
+    leaves = [x, *net.parameters()]
     for ours, theirs in zip(
-        torch.autograd.grad(made.square().sum(), leaves),
+        [by_x, *(p.grad for p in net.parameters())],
         torch.autograd.grad(expected.square().sum(), leaves),
         strict=True,
     ):
         torch.testing.assert_close(ours, theirs)
 
 
-def test_a_frozen_net_passes_gradients_on_and_takes_none():
-    net, x = mlp(5, [16], 3), torch.randn(7, 5, requires_grad=True)
-    relu_net(net, x, frozen=True).sum().backward()
-    assert all(p.grad is None for p in net.parameters())
-    torch.testing.assert_close(x.grad, torch.autograd.grad(net(x).sum(), x)[0])
-
-
-def test_where_onednn_is_slower_the_layers_are_computed_one_by_one(monkeypatch):
+def test_gradients_are_found_only_where_they_are_asked_for():
     net, x = mlp(5, [16], 3), torch.randn(7, 5)
-    monkeypatch.setattr(module, "onednn_is_quicker", lambda: False)
-    monkeypatch.setattr(module, "product", None)
-    assert torch.equal(relu_net(net, x), net(x))
+    layers = linear_layers(net)
+    made, inputs = relu_net(layers, x)
+    before = [torch.full_like(p, 7.0) for p in net.parameters()]
+    for p, kept in zip(net.parameters(), before, strict=True):
+        p.grad = kept
+    by_x = relu_net_gradients(layers, inputs, torch.ones_like(made), of_weights=False, of_input=True)
+    assert by_x.shape == x.shape and all(p.grad is kept for p, kept in zip(net.parameters(), before, strict=True))
+    assert relu_net_gradients(layers, inputs, torch.ones_like(made)) is None
+    torch.testing.assert_close(layers[-1].bias.grad, torch.full((3,), 7.0))  # replaced by a sum over seven rows
 
 
 @pytest.mark.parametrize(("available", "capability", "intel", "quicker"), [
