@@ -19,11 +19,12 @@ class SimulatedEnsemble:
         task: knows what an action is and what a state is.
         domain: whose physics they follow.
         n: how many.
+        model: the domain's, if it is compiled already; it is read alone, so that threads can share it.
     """
 
-    def __init__(self, task: Task, domain: Domain, n: int) -> None:
+    def __init__(self, task: Task, domain: Domain, n: int, model: mujoco.MjModel | None = None) -> None:
         self.task, self.domain = task, domain
-        self.model = domain.compile()
+        self.model = domain.compile() if model is None else model
         self.data = [mujoco.MjData(self.model) for _ in range(n)]
         self.origin = self.model.qpos0.copy()
         self._limits = self.model.actuator_ctrlrange.T.copy()

@@ -84,9 +84,10 @@ class RecordingSmoother:
 
     def __call__(self, recordings: Sequence[ReadRecording], seed: int) -> list[Smoothed]:
         """Smooth recordings; ``seed`` is of the ensembles."""
+        model = self.domain.compile()
 
         def smooth(k: int) -> Smoothed:
-            ensemble = SimulatedEnsemble(self.task, self.domain, self.members)
+            ensemble = SimulatedEnsemble(self.task, self.domain, self.members, model)
             known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k, self.starts)
             return smooth_episode(known, recordings[k].readings, recordings[k].actions)
 
