@@ -34,8 +34,10 @@ log = logging.getLogger(__name__)
 
 RECORDINGS_JUDGED, MEMBERS_JUDGED = 60, 16
 """Recordings, and simulations that follow each. Many short ones tell most: from each start the robot is known anew."""
-RECORDINGS_TRIED = 12
-"""With which all candidates are tried first."""
+RECORDINGS_GLANCED, RECORDINGS_TRIED = 3, 12
+"""With which all candidates are tried first, and then those that did best."""
+STAYING, STAYING_LEAST = 0.25, 8
+"""Share of the candidates that stay after the first glance, and how many at least."""
 JUDGED = 3
 """Candidates that are judged by all recordings, their values refined."""
 TOLD = 8
@@ -123,7 +125,7 @@ def search_from_known_starts(
         of_control: of the source itself, seen through G.
         suggested: what another search found.
     """
-    tried = screened(candidates, of_target.first(RECORDINGS_TRIED))
+    tried = screened(candidates, of_target)
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
     without = of_target([])
     before = mean_error(without)
@@ -163,10 +165,22 @@ def labels_of(effects: Sequence[Effect]) -> str:
     return ", ".join(str(e.to_dict()) for e in effects) or "nothing"
 
 
-def screened(candidates: Sequence[Candidate], misfit: Misfits) -> list[tuple[Candidate, float, float]]:
-    """Candidates with the value that forecasts best and the error then, the best first, if better than without."""
-    without, best = mean_error(misfit([])), []
+def screened(candidates: Sequence[Candidate], of_target: KnownStartForecasts) -> list[tuple[Candidate, float, float]]:
+    """Candidates with the value that forecasts best and the error then, the best first, if better than without.
+
+    All are tried on a few recordings, and those that do best there on more.
+    """
+    glanced = at_their_best(candidates, of_target.first(RECORDINGS_GLANCED))
+    staying = glanced[: max(STAYING_LEAST, round(STAYING * len(glanced)))]
+    without = mean_error(of_target.first(RECORDINGS_TRIED)([]))
+    tried = at_their_best([c for c, _, _ in staying], of_target.first(RECORDINGS_TRIED))
+    return [found for found in tried if found[2] < without]
+
+
+def at_their_best(candidates: Sequence[Candidate], misfit: Misfits) -> list[tuple[Candidate, float, float]]:
+    """Candidates with the value that forecasts best and the error then, the best first."""
+    best = []
     for c in candidates:
         tried = [(mean_error(misfit([c.effect([x])])), x) for x in first_values(c)]
-        best += [(c, x, error) for error, x in sorted(tried)[:1] if error < without]
+        best += [(c, x, error) for error, x in sorted(tried)[:1]]
     return sorted(best, key=lambda found: found[2])
