@@ -1,7 +1,7 @@
 """Gradients of soft actor-critic's losses, written out for nets of linear layers and ReLU.
 
-They are those of autograd (``tests/modules``). As one update is many small products, doing without it makes an update
-1.5 times as quick on a CPU.
+They are those of autograd (``tests/modules``). As one update is many small products, autograd is a fifth of
+its time on a CPU.
 """
 
 from __future__ import annotations

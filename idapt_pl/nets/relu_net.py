@@ -1,6 +1,7 @@
 """A multilayer perceptron with ReLU without autograd: its values, and its gradients written out.
 
-Autograd spends more time on small nets than their products take (``benchmarks/sac_speed.py``).
+Autograd spends more time on small nets than their products take (``benchmarks/sac_speed.py``). It has to be off
+(``torch.no_grad``) where these functions are called.
 
 PyTorch multiplies float32 matrices with MKL, which on AMD's processors keeps to AVX2. Where they have AVX-512, oneDNN,
 which PyTorch brings along for convolutions, is nearly twice as quick. Elsewhere it is slower, as it spends some 30 µs
@@ -25,7 +26,6 @@ def linear_layers(net: nn.Sequential) -> list[nn.Linear]:
     return [layer for layer in net if isinstance(layer, nn.Linear)]
 
 
-@torch.no_grad()
 def relu_net(layers: Sequence[nn.Linear], x: Float[Tensor, "n i"]) -> tuple[Float[Tensor, "n o"], list[Tensor]]:
     """What a net makes of x, and what each of its layers was given."""
     inputs, last = [], len(layers) - 1
@@ -35,7 +35,6 @@ def relu_net(layers: Sequence[nn.Linear], x: Float[Tensor, "n i"]) -> tuple[Floa
     return x, inputs
 
 
-@torch.no_grad()
 def relu_net_gradients(
     layers: Sequence[nn.Linear],
     inputs: Sequence[Tensor],
