@@ -14,7 +14,8 @@ from idapt_pl.tasks.recipe import ExpertRecipe
 SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "schedule.grounding_steps": 1}
 DAGGER = SHORT | {"teacher.dagger": 8}
 ON_ESTIMATES = SHORT | {
-    "teacher.rehearse": 64, "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "schedule.source_policy": 0,
+    "teacher.rehearse": 64, "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8,
+    "schedule.source_policy": 0,
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
 }  # fmt: skip
