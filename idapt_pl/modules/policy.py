@@ -205,7 +205,7 @@ class AsymmetricSAC(SAC):
 
     @property
     def heads_alone(self) -> bool:
-        return self.supervised and super().heads_alone
+        return self.supervised and self.plain
 
     def trained_by_the_actor_loss(self) -> list[nn.Parameter]:
         return list((self.actor.head if self.supervised else self.actor).parameters())

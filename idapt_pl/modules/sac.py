@@ -141,7 +141,7 @@ class SAC(ManualModule, ABC):
     @property
     def heads_alone(self) -> bool:
         """Whether nothing but nets of linear layers learns, in float32: their gradients are written out."""
-        return self.plain
+        return self.plain and next(self.actor.encoder.parameters(), None) is None
 
     @torch.no_grad()
     def track_critic(self) -> None:

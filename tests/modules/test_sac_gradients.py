@@ -101,7 +101,22 @@ def test_updates_leave_what_autograd_leaves(module, make, monkeypatch):
         torch.testing.assert_close(written[name], value, rtol=2e-3, atol=2e-4, msg=name)
 
 
-def test_an_encoder_that_the_actors_loss_trains_keeps_autograds_gradients():
-    module = image_policy("learned")
+class LearnedFeatures(StateSAC):
+    """Somebody's SAC whose encoder learns."""
+
+    def __init__(self):
+        super().__init__(STATE, [-3.0, 0.0], [1.0, 4.0], hidden=[24, 16])
+        self.actor.encoder.layer = torch.nn.Linear(STATE, STATE)
+
+
+@pytest.mark.parametrize("make", [lambda: image_policy("learned"), LearnedFeatures], ids=["images", "somebody's"])
+def test_an_encoder_that_the_actors_loss_trains_keeps_autograds_gradients(make):
+    module = make()
     module._trainer = ManyUpdates()
     assert module.plain and not module.heads_alone
+
+
+def test_heads_alone_are_those_of_states_and_of_estimates(module):
+    for one in (module, image_policy("supervised")):
+        one._trainer = ManyUpdates()
+        assert one.heads_alone

@@ -11,7 +11,12 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
-from idapt_pl.stages.known_start_search import search_from_known_starts
+from idapt_pl.stages.known_start_search import (
+    RECORDINGS_GLANCED,
+    RECORDINGS_TRIED,
+    screened,
+    search_from_known_starts,
+)
 from idapt_pl.stages.refinement import (
     READING_ERROR,
     KnownStartForecasts,
@@ -78,6 +83,31 @@ def test_what_is_missing_is_found_from_known_starts_and_nothing_where_nothing_is
 
     none = search_from_known_starts(CANDIDATES, forecasts(seed=6), nothing).to_dict()
     assert none["effects"] == []
+
+
+class Counted:
+    """Forecasts of so many recordings, best where a torso weighs what the third of ten candidates says."""
+
+    def __init__(self, recordings, asked):
+        self.recordings, self.asked = recordings, asked
+
+    def first(self, recordings):
+        return Counted(recordings, self.asked)
+
+    def __call__(self, effects):
+        self.asked.append((self.recordings, effects[0].target if effects else None))
+        number = int(effects[0].target) if effects else 20
+        return np.full(self.recordings, 0.1 * abs(number - 3))
+
+
+def test_all_candidates_are_glanced_at_and_the_best_are_tried_on_more_recordings():
+    candidates = [Candidate(BodyMass, str(i), ("mass",), (1.0,), (0.5,)) for i in range(20)]
+    asked = []
+    found = screened(candidates, Counted(60, asked))
+    assert {t for n, t in asked if n == RECORDINGS_GLANCED} == {str(i) for i in range(20)}
+    stayed = {t for n, t in asked if n == RECORDINGS_TRIED} - {None}
+    assert stayed == {c.target for c, _, _ in found} == {str(i) for i in range(8)} and found[0][0].target == "3"
+    assert {n for n, _ in asked} == {RECORDINGS_GLANCED, RECORDINGS_TRIED}
 
 
 @pytest.mark.slow
