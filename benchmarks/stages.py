@@ -2,6 +2,7 @@
 
     python benchmarks/stages.py                                                                  # walker_hard.yaml
     python benchmarks/stages.py --config configs/walker_hard.yaml configs/presets/paper.yaml     # the paper's size
+    python benchmarks/stages.py --config ... --longer 10     # on a GPU, where a unit is much shorter than the start-up
 
 Every stage runs twice, shortened, with the config's own networks, images and batches; the difference of the two gives
 seconds a unit without the start-up. Writes results/stages.csv: what a unit is, its seconds, how many the config asks
@@ -36,11 +37,12 @@ WARM_UP = 20
 
 
 def overrides(lengths: dict[str, int]) -> dict[str, object]:
-    """A schedule of one short grounding step."""
+    """A schedule of one short grounding step, whose data take no time: what explores has learned nothing."""
     stages = {f"schedule.{part}.{name}": n for part in ("pretrain", "finetune") for name, n in lengths.items()}
     return stages | {
         "episodes": 1, "schedule.grounding_steps": 1, "schedule.images": 100, "schedule.interactions": 50,
-        "schedule.source_policy": 20, "feeding.warmup_steps": WARM_UP, "feeding.garat_rollout": ROLLOUT,
+        "schedule.source_policy": 20, "schedule.lengths": "given", "schedule.exploration": "random",
+        "feeding.warmup_steps": WARM_UP, "feeding.garat_rollout": ROLLOUT,
     }  # fmt: skip
 
 
@@ -58,21 +60,21 @@ def seconds(configs: list[Path], lengths: dict[str, int], folder: Path) -> dict[
     return {s["stage"]: s["wall_s"] for s in stages if s["step"] == 1 and s["stage"] in LENGTHS}
 
 
-def rows(configs: list[Path]) -> list[dict]:
-    """The table of one config, and of presets laid over it."""
+def rows(configs: list[Path], longer: int) -> list[dict]:
+    """The table of one config, and of presets laid over it; `longer` multiplies the stages' lengths."""
     from cli.fit import GroundingCLI
 
     whole = GroundingCLI(layers(configs)).config
     schedule = whole.schedule
     with tempfile.TemporaryDirectory() as folder:
         times = [
-            seconds(configs, {name: spec[i] for _, (_, name, *spec) in LENGTHS.items()}, Path(folder) / str(i))
+            seconds(configs, {name: longer * spec[i] for _, (_, name, *spec) in LENGTHS.items()}, Path(folder) / str(i))
             for i in (0, 1)
         ]
     table = []
     for stage, (unit, name, short, long) in LENGTHS.items():
         size = ROLLOUT if stage == "dynamics" else 1
-        each = (times[1][stage] - times[0][stage]) / ((long - short) * size)
+        each = (times[1][stage] - times[0][stage]) / (longer * (long - short) * size)
         units = schedule.pretrain[name] + schedule.grounding_steps * schedule.finetune[name]
         units *= whole.feeding.garat_rollout if stage == "dynamics" else 1
         table.append({
@@ -90,9 +92,10 @@ def main() -> None:
     p.add_argument(
         "--config", type=Path, nargs="+", default=[ROOT / "configs/walker_hard.yaml"], help="later over earlier"
     )
+    p.add_argument("--longer", type=int, default=1, help="run every stage so many times as long")
     p.add_argument("--out", type=Path, default=ROOT / "results/stages.csv")
     o = p.parse_args()
-    replace_rows(o.out, rows(o.config), ("config",), FIELDS)
+    replace_rows(o.out, rows(o.config, o.longer), ("config",), FIELDS)
     print(o.out.read_text())
 
 
