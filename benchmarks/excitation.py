@@ -206,6 +206,11 @@ def rows_of(case: Confounded, seed: int, methods: list[str]) -> list[dict]:
     return [same | {"method": m} | closed_loop(case, seed, m, first, named) for m in methods]
 
 
+def hopeless(row: dict) -> bool:
+    """Whether the search said beforehand that no safe motion tells any two of its explanations apart."""
+    return row["inseparable"] != "" and int(row["inseparable"]) == len(row["separation"].split())
+
+
 def summarise(rows: list[dict], title: str) -> str:
     """Recordings needed by each method."""
     lines = [f"--- {title}"]
@@ -215,6 +220,9 @@ def summarise(rows: list[dict], title: str) -> str:
         if len(needed):
             shares = ", ".join(f"within {k}: {np.mean(needed <= k):.2f}" for k in (1, 2, 3))
             lines.append(f"{method:8s} n = {len(needed)}; mean (never counts {NEVER}) {needed.mean():.2f}; {shares}")
+    said = [r for r in confounded if r["method"] == "excite" and hopeless(r)]
+    never = sum(int(r["recordings"]) == NEVER for r in said)
+    lines.append(f"excite said that no safe motion tells any two apart: {len(said)}, of which {never} were never named")
     plain = [r for r in rows if r["method"] == "none"]
     lines.append(f"not confounded at first: {sum(r['recordings'] != '' for r in plain)}; nothing found: "
                  f"{sum(r['recordings'] == '' for r in plain)}")  # fmt: skip

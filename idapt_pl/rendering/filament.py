@@ -5,9 +5,9 @@ from __future__ import annotations
 import atexit
 import contextlib
 import copy
-import ctypes
 import functools
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from typing import Any, ClassVar
@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.visual import CAMERA
+from idapt_pl.rendering import vulkan
 
 CURE = (
     "Filament, MuJoCo's physically based renderer, needs Vulkan, for which software will do "
@@ -23,35 +24,20 @@ CURE = (
 )
 
 
-class _InstanceInfo(ctypes.Structure):
-    """VkInstanceCreateInfo."""
-
-    _fields_ = (
-        ("sType", ctypes.c_int),
-        ("pNext", ctypes.c_void_p),
-        ("flags", ctypes.c_uint32),
-        ("pApplicationInfo", ctypes.c_void_p),
-        ("layers", ctypes.c_uint32),
-        ("ppLayers", ctypes.c_void_p),
-        ("extensions", ctypes.c_uint32),
-        ("ppExtensions", ctypes.c_void_p),
-    )
-
-
 @functools.cache
 def why_unavailable() -> str | None:
-    """None if there is a Vulkan device, else what is missing. Asked first, since Filament ends the process without."""
+    """None if there is a Vulkan device, else what is missing. Asked first, since Filament ends the process without.
+
+    A process of its own asks: on some machines no OpenGL context can be made where Vulkan was used before.
+    """
+    command = [sys.executable, "-I", vulkan.__file__]
     try:
-        vulkan = ctypes.CDLL("libvulkan.so.1")
-    except OSError as error:
-        return f"no Vulkan library ({error})"
-    instance, count = ctypes.c_void_p(), ctypes.c_uint32()
-    info = _InstanceInfo(sType=1)  # VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO
-    if code := vulkan.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)):
-        return f"no Vulkan driver (vkCreateInstance gave {code})"
-    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
-    vulkan.vkDestroyInstance(instance, None)
-    return None if count.value else "no Vulkan device"
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    except subprocess.TimeoutExpired:
+        return "the Vulkan driver did not answer for 60 s"
+    if done.returncode != 0:
+        return f"asking for Vulkan devices ended with code {done.returncode}"
+    return done.stdout.strip() or None
 
 
 EXPOSURE = 4.0

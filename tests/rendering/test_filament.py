@@ -3,11 +3,12 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from idapt_pl.effects.visual import engine_of
-from idapt_pl.rendering import filament, make
+from idapt_pl.rendering import filament, make, vulkan
 from idapt_pl.rendering.classic import FrameRenderer
 from idapt_pl.rendering.make import make_renderer
 from idapt_pl.tasks import make_task
@@ -66,16 +67,42 @@ def test_without_filament_the_classic_renderer_draws_the_same_room_and_says_so(c
     render.close()
 
 
-def test_a_machine_without_vulkan_is_told_what_to_install(monkeypatch, caplog):
-    def missing(name):
-        raise OSError(f"{name}: cannot open shared object file")
-
+@pytest.mark.parametrize(
+    ("program", "why"),
+    [
+        ("print('no Vulkan library (libvulkan.so.1)')", "no Vulkan library"),
+        ("import os; os.abort()", "asking for Vulkan devices ended with code -6"),
+    ],
+)
+def test_a_machine_without_vulkan_is_told_what_to_install(program, why, monkeypatch, caplog, tmp_path):
+    (tmp_path / "asks.py").write_text(program)
     monkeypatch.delenv("IDAPT_RENDERER")
-    monkeypatch.setattr(filament.ctypes, "CDLL", missing)
+    monkeypatch.setattr(filament.vulkan, "__file__", str(tmp_path / "asks.py"))
     filament.why_unavailable.cache_clear()
     with caplog.at_level("WARNING"):
         render = make_renderer(make_task("fetch_reach").domain("hard").compile(), 16)
     filament.why_unavailable.cache_clear()
     assert isinstance(render, FrameRenderer)
     render.close()
-    assert "no Vulkan library" in caplog.text and "apt-get install libvulkan1 mesa-vulkan-drivers" in caplog.text
+    assert why in caplog.text and "apt-get install libvulkan1 mesa-vulkan-drivers" in caplog.text
+
+
+def test_a_library_that_is_not_there_is_named(monkeypatch):
+    def missing(name):
+        raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.setattr(vulkan.ctypes, "CDLL", missing)
+    assert vulkan.what_is_missing() == "no Vulkan library (libvulkan.so.1: cannot open shared object file)"
+
+
+def test_asking_for_vulkan_leaves_this_process_without_it():
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("no list of loaded libraries here")
+    program = (
+        "from idapt_pl.rendering import filament\n"
+        "filament.why_unavailable()\n"
+        "print('libvulkan' in open('/proc/self/maps').read())"
+    )
+    done = run(program)
+    assert done.stdout.strip() == "False", done.stderr
