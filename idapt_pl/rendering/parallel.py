@@ -20,8 +20,9 @@ MOST_PROCESSES = 3
 FRAMES_PER_PROCESS = 1500
 """Frames that a process draws before it is replaced where Filament draws, which keeps memory of every frame."""
 
-_others: list[RenderProcess] = []
-"""This program's processes, kept until it ends, since starting one takes seconds."""
+_others: dict[str, list[RenderProcess]] = {"classic": [], "filament": []}
+"""This program's processes by engine, kept until it ends, since starting one takes seconds. None draws by OpenGL and by
+Vulkan: not every driver bears both in one process."""
 
 
 def usual_processes() -> int:
@@ -81,12 +82,13 @@ class ParallelRenderer:
         return frames
 
     def _processes(self, number: int) -> list[RenderProcess]:
-        while len(_others) < number:
-            _others.append(RenderProcess())
-        for process in _others[:number]:
+        others = _others["filament" if self._elsewhere else "classic"]
+        while len(others) < number:
+            others.append(RenderProcess())
+        for process in others[:number]:
             if self._elsewhere and process.drawn >= FRAMES_PER_PROCESS:
                 process.close()
-        return _others[:number]
+        return others[:number]
 
     @property
     def _file(self) -> Path:

@@ -26,12 +26,12 @@ first = one.reset(seed=0)[0]["pixels"]
 second = two.reset(seed=0)[0]["pixels"]          # two alive at a time, in turn
 with closing(FilamentRenderer(one.model, 32)) as here:
     assert (one.reset(seed=0)[0]["pixels"][0, 0] == here(one.data[0])).all(), "drawn here or there"
-parallel.FRAMES_PER_PROCESS, pid = 3, parallel._others[0]._process.pid
+parallel.FRAMES_PER_PROCESS, pid = 3, parallel._others['filament'][0]._process.pid
 again = one.reset(seed=0)[0]["pixels"]
-assert parallel._others[0]._process.pid != pid, "Filament keeps memory of every frame, so processes are replaced"
+assert parallel._others['filament'][0]._process.pid != pid, "Filament keeps every frame's memory, so they are replaced"
 moved = one.step(np.ones((1, 4), np.float32))[0]["pixels"]
 assert (first == again).all() and (first != moved).any() and first.std() > 10 and second.std() > 10
-assert len(parallel._others) == 1
+assert len(parallel._others['filament']) == 1 and not parallel._others['classic'], "one engine to a process"
 print(hashlib.sha256(first.tobytes() + second.tobytes()).hexdigest())
 """
 

@@ -119,11 +119,11 @@ def test_models_drawn_elsewhere_change_processes_after_their_lifetime(model, exp
     monkeypatch.setattr(parallel, "FRAMES_PER_PROCESS", 6)
     with closing(ParallelRenderer(model, SIZE)) as render:
         render._elsewhere, pids = True, []  # as where Filament draws
-        monkeypatch.setattr(parallel, "_others", [])
+        monkeypatch.setattr(parallel, "_others", {"classic": [], "filament": []})
         for _ in range(4):
             np.testing.assert_array_equal(render(states(model, 3)), expected)
-            pids.append(parallel._others[0]._process.pid)
-        parallel._others[0].close()
+            pids.append(parallel._others["filament"][0]._process.pid)
+        parallel._others["filament"][0].close()
     assert pids[0] == pids[1] != pids[2] == pids[3]
 
 
