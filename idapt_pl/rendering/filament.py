@@ -28,7 +28,7 @@ CURE = (
 def why_unavailable() -> str | None:
     """None if there is a Vulkan device, else what is missing. Asked first, since Filament ends the process without.
 
-    A process of its own asks: on some machines no OpenGL context can be made where Vulkan was used before.
+    A process of its own asks: a driver may crash, or make no OpenGL context where Vulkan was used before.
     """
     command = [sys.executable, "-I", vulkan.__file__]
     try:

@@ -16,13 +16,13 @@ from idapt_pl.rendering.make import filament_is_used, make_renderer
 from idapt_pl.rendering.process import RenderProcess
 
 MOST_PROCESSES = 3
-"""Further processes by default, at most: each takes some 300 MB, and a step has few frames to share out."""
+"""Further processes of an engine by default, at most: each takes some 300 MB, and steps have few frames to share."""
 FRAMES_PER_PROCESS = 1500
 """Frames that a process draws before it is replaced where Filament draws, which keeps memory of every frame."""
 
 _others: dict[str, list[RenderProcess]] = {"classic": [], "filament": []}
 """This program's processes by engine, kept until it ends, since starting one takes seconds. None draws by OpenGL and by
-Vulkan: not every driver bears both in one process."""
+Vulkan: a driver may not bear both in one process."""
 
 
 def usual_processes() -> int:

@@ -95,6 +95,7 @@ def test_a_library_that_is_not_there_is_named(monkeypatch):
     assert vulkan.what_is_missing() == "no Vulkan library (libvulkan.so.1: cannot open shared object file)"
 
 
+@WITH_VULKAN
 def test_asking_for_vulkan_leaves_this_process_without_it():
     maps = Path("/proc/self/maps")
     if not maps.exists():
