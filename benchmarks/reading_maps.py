@@ -3,10 +3,10 @@
     python benchmarks/reading_maps.py --runs runs/fetch_reach_hard_0 --steps 0 1 --positions hand=0,1,2 goal=3,4
 
 The policy and random actions, each held for some steps, act in the target. Of what is read of every group of positions
-(components of the state) the best linear map from the true ones is told: its first two rows and columns, and the turn in
-them (the angle of the nearest rotation, rad). A camera that stands otherwise than the source's turns and stretches what
-is read, as G shows the source's images in the target's colours but in the source's frame. Evaluation only: the target's
-states are looked at. Writes results/reading_maps.csv.
+(components of the state) the best linear map from the true ones is told: its first two rows and columns, and the turn
+in them (the angle of the nearest rotation, rad). A camera that stands otherwise than the source's turns and stretches
+what is read, as G shows the source's images in the target's colours but in the source's frame. Evaluation only: the
+target's states are looked at. Writes results/reading_maps.csv.
 """
 
 from __future__ import annotations
@@ -91,7 +91,11 @@ def main() -> None:
                 names = ("xx", "xy", "yx", "yy")
                 row = {"run": folder.name, "step": step, "what": what, "turn": round(turn(m[:2, :2]), 3)}
                 row |= {n: round(float(v), 3) for n, v in zip(names, m[:2, :2].flat, strict=True)}
-                row |= {"last": round(float(m[-1, -1]), 3), "left": round(float(left.mean()), 4), "commit": git_commit()}
+                row |= {
+                    "last": round(float(m[-1, -1]), 3),
+                    "left": round(float(left.mean()), 4),
+                    "commit": git_commit(),
+                }
                 replace_rows(o.out, [row], KEY)
                 print(*row.values(), flush=True)
 

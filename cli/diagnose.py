@@ -25,7 +25,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 from rich.console import Console
@@ -40,9 +39,8 @@ from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.effects import Effect, effect_from_dict
+from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.effects.wording import format_number, phrase_at
-from idapt_pl.files import read_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences
@@ -163,7 +161,7 @@ def main(args: list[str]) -> int:
     if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
         p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
-        print_diagnosis(diagnose_recordings(o, read_effects), o.out)
+        print_diagnosis(diagnose_recordings(o), o.out)
         return 0
     return diagnose_run(o)
 
@@ -175,15 +173,16 @@ def diagnose_run(o: argparse.Namespace) -> int:
         report_visual_effects(run, data, o.out, o.seed)
     images = read_images(run, data)
     source = run.worlds.source_domain
-    model, how = source.spec(), images.diagnose_arguments(source)
+    model, how = source.within_mjcf.spec(), images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()
+    given = (*source.beyond_mjcf, *declared)
     if images.readings.calibration.velocities_unreliable:
         print_forecast_diagnosis(diagnose_images_by_forecasts(run, images, o, declared), model.compile(), o.out)
         return 0
     try:
         with progress_bar() as progress:
             diagnosis = diagnose(
-                model, images.readings.target, declared, o.fit, o.hold_out, o.candidates, o.seed,
+                model, images.readings.target, given, o.fit, o.hold_out, o.candidates, o.seed,
                 replace(SearchSettings(), max_effects=o.max_effects), progress, o.threads,
                 laws=not o.no_laws, **how,
             )  # fmt: skip
@@ -192,40 +191,6 @@ def diagnose_run(o: argparse.Namespace) -> int:
     write_diagnosis(diagnosis, o.out, o.run.name, data.name)
     print_diagnosis(diagnosis, o.out)
     return 0
-
-
-def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
-    """The effects in a YAML list, each tried on the model.
-
-    Raises:
-        ValueError: naming the file, the entry and what is known.
-    """
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file; expected a list of effects (YAML)")
-    entries = read_yaml(path)
-    if not isinstance(entries, list):
-        raise ValueError(f"{path}: expected a list of effects, got {type(entries).__name__}; see idapt diagnose --help")
-    spec, effects = model.copy(), []
-    for i, entry in enumerate(entries):
-        try:
-            effects.append(read_effect(entry))
-            effects[-1].apply(spec)
-            spec.copy().compile()
-        except ValueError as error:
-            raise ValueError(f"{path}: entry {i}: {' '.join(str(error).split())}") from None
-    return tuple(effects)
-
-
-def read_effect(entry: Any) -> Effect:
-    """One entry of an effects file."""
-    if isinstance(entry, Mapping):
-        if not isinstance(entry.get("effect", ""), str):
-            raise ValueError(f"effect must be a name, got {entry['effect']!r}")
-        if not isinstance(entry.get("target", ""), str):
-            raise ValueError(f"effect {entry['effect']!r}: target must be a name, got {entry['target']!r}")
-        if not isinstance(entry.get("parameters", {}), Mapping):
-            raise ValueError(f"parameters must be names with values, got {entry['parameters']!r}")
-    return effect_from_dict(entry)
 
 
 def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:

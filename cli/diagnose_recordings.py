@@ -25,7 +25,7 @@ from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
-from idapt_pl.effects.base import Effect
+from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
 from idapt_pl.report.fault_section import consequence, fault_sentence
@@ -36,14 +36,11 @@ from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
 from idapt_pl.stretches.conditions import BadCondition
 
 
-def diagnose_recordings(
-    o: argparse.Namespace, read_effects: Callable[[Path, mujoco.MjSpec], tuple[Effect, ...]]
-) -> Diagnosis:
+def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
     """Everything that `idapt diagnose --model` does up to the files; tells of faults, stretches and files on the way.
 
     Args:
         o: the command's options.
-        read_effects: from a file and a model.
 
     Raises:
         ValueError: of what the user gave, naming the file or the option.

@@ -18,6 +18,7 @@ from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import blaming, read_json
 from idapt_pl.grounding import IterativeGrounding
+from idapt_pl.image_diagnosis import known_effects
 from idapt_pl.modules import AsymmetricSAC, RecurrentSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.randomisation import FOUND
@@ -72,6 +73,7 @@ class Run:
             config.image_size, config.frame_stack, config.view, processes, config.randomisation.distribution(task.name),
             config.randomisation.variants, config.seed,
         )  # fmt: skip
+        worlds.add_effects(known_effects(config.effects.known, task))
         check_randomisation(config, worlds)
         check_exploration(config, worlds)
         if config.labels.members:  # better said before hours of G

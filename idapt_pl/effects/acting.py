@@ -12,6 +12,7 @@ import numpy as np
 from idapt_pl.effects.base import ACTUATED, Effect
 from idapt_pl.effects.joints import PLAY_SUFFIX
 from idapt_pl.effects.learned import JointSignals, SignalForce
+from idapt_pl.effects.runtime import ForceEffect
 
 
 @dataclass(frozen=True)
@@ -123,14 +124,14 @@ def actuators_on(model: mujoco.MjModel, joint: int) -> list[int]:
 
 # --- in an environment ------------------------------------------------------------------------------------
 
-_LAWS: WeakKeyDictionary[mujoco.MjModel, tuple[Effect, ...]] = WeakKeyDictionary()
+_LAWS: WeakKeyDictionary[mujoco.MjModel, tuple[ForceEffect, ...]] = WeakKeyDictionary()
 _ACTING: WeakKeyDictionary[mujoco.MjData, _InOneSimulation] = WeakKeyDictionary()
 """Models and simulations do not carry effects, and tasks know neither domains nor laws: so they are looked up."""
 
 
 def register_laws(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
-    """Let :func:`advance` add the laws among some effects to a model's simulations."""
-    laws = tuple(e for e in effects if isinstance(e, SignalForce))
+    """Let :func:`advance` add the force laws among some effects to a model's simulations."""
+    laws = tuple(e for e in effects if isinstance(e, ForceEffect))
     if laws:
         _LAWS[model] = laws
 
@@ -149,15 +150,32 @@ def advance(model: mujoco.MjModel, data: mujoco.MjData, steps: int = 1) -> None:
 
 
 class _InOneSimulation:
-    """Laws in one simulation, which remembers; it forgets when the clock goes back, as after a reset."""
+    """Laws in one simulation. Those that remember forget when the clock goes back, as after a reset."""
 
-    def __init__(self, model: mujoco.MjModel, laws: tuple[Effect, ...]) -> None:
+    def __init__(self, model: mujoco.MjModel, laws: tuple[ForceEffect, ...]) -> None:
         self.model, self.acting = model, ActingForces(model, laws)
+        plain = [e for e in laws if not isinstance(e, SignalForce)]
+        self.on_bodies = [(e, model.body(e.target).id) for e in plain if e.acts_on == "bodies"]
+        joints = [(e, joints_meant(model, e.target)) for e in plain if e.acts_on == "joints"]
+        self.on_joints = [(e, model.jnt_qposadr[j], model.jnt_dofadr[j]) for e, j in joints]
         self.time = np.inf
         self.before: list[JointSignals] = []
         self.memory = np.zeros((1, self.acting.memories))
 
     def step(self, data: mujoco.MjData) -> None:
+        held, pulled = data.qfrc_applied.copy(), data.xfrc_applied.copy()
+        if self.acting.pairs:
+            data.qfrc_applied[:] += self.by_signals(data)
+        now = np.array([data.time])
+        for effect, q, v in self.on_joints:
+            data.qfrc_applied[v] += effect.force(data.qpos[q][None], data.qvel[v][None], now)[0]
+        for effect, body in self.on_bodies:
+            data.xfrc_applied[body, :3] += effect.force(data.qpos[None], data.qvel[None], now)[0]
+        mujoco.mj_step(self.model, data)
+        data.qfrc_applied[:], data.xfrc_applied[:] = held, pulled
+
+    def by_signals(self, data: mujoco.MjData) -> np.ndarray:
+        """What laws that look at signals add now, (nv,)."""
         qpos, qvel, commands, activation = (np.array(x)[None] for x in (data.qpos, data.qvel, data.ctrl, data.act))
         now = MotionNow(qpos, qvel, commands, activation, np.array([data.time]))
         signals = self.acting.signals(now)
@@ -166,7 +184,4 @@ class _InOneSimulation:
         elif self.before:
             self.memory = self.acting.remember(self.before, signals, self.memory, self.model.opt.timestep)
         self.before, self.time = signals, data.time
-        held = data.qfrc_applied.copy()
-        data.qfrc_applied[:] += self.acting.forces(signals, self.memory)[0]
-        mujoco.mj_step(self.model, data)
-        data.qfrc_applied[:] = held
+        return self.acting.forces(signals, self.memory)[0]

@@ -11,7 +11,7 @@ import numpy as np
 from idapt_pl.effects.acting import register_laws
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.compile_time import write_out_masses
-from idapt_pl.effects.runtime import CommandEffect
+from idapt_pl.effects.runtime import CommandEffect, ForceEffect
 from idapt_pl.ranges import Range, check_ranges
 
 
@@ -71,7 +71,23 @@ class Domain:
             write_out_masses(spec)
         for effect in self.effects:
             effect.apply(spec)
+            if isinstance(effect, ForceEffect):
+                effect.constrain(spec)
         return spec
+
+    @property
+    def beyond_mjcf(self) -> tuple[Effect, ...]:
+        """Effects that :meth:`spec` does not hold, or not whole: MJCF has no words for them."""
+        return tuple(
+            e for e in self.effects
+            if isinstance(e, ForceEffect) or (isinstance(e, CommandEffect) and not e.in_mjcf)
+        )  # fmt: skip
+
+    @property
+    def within_mjcf(self) -> Domain:
+        """The same domain without these."""
+        beyond = self.beyond_mjcf
+        return Domain(self.name, self.base, tuple(e for e in self.effects if e not in beyond))
 
     def command(self, model: mujoco.MjModel, actions: np.ndarray) -> np.ndarray:
         """What effects that MJCF has no words for make of actions (n, nu), in their order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from idapt_pl.effects import EFFECTS
 from idapt_pl.ranges import Range, check_ranges
@@ -33,6 +34,8 @@ class DiscoverySettings:
         refine: a second opinion: which effects, with which parameters, let simulations from known starts forecast the
             target's first frames best. Episodes must begin alike in both.
         every_step: look again in every grounding step; False looks in the task-agnostic data alone.
+        known: effects that the source lacks as is known already: a file such as the ``effects.yaml`` of ``idapt
+            diagnose``, or its content. They are added before anything is learned.
     """
 
     discover: bool = False
@@ -41,6 +44,7 @@ class DiscoverySettings:
     looks: bool = False
     refine: bool = False
     every_step: bool = True
+    known: str | list[dict[str, Any]] | None = None
 
     def __post_init__(self) -> None:
         check_ranges("effects", vars(self), {"max_effects": Range(1, 100)})

@@ -66,7 +66,13 @@ class WindowDiagnosis:
     def of(cls, diagnosis: Diagnosis) -> WindowDiagnosis:
         """What is looked at of a diagnosis."""
         found, error = diagnosis.result.effects, diagnosis.result.error
-        return cls(tuple(diagnosis.effects), tuple(found), error.before, error.after, error.channels)
+        return cls(
+            tuple(e for e in diagnosis.effects if e not in diagnosis.declared),
+            tuple(found),
+            error.before,
+            error.after,
+            error.channels,
+        )
 
     @property
     def removed_share(self) -> float:
@@ -189,8 +195,8 @@ def diagnose_by_windows(
     # The source keeps its numerics, so what is found must hold with them. The target may be another simulation.
     def diagnose_pieces(data: Trajectories, most: int) -> WindowDiagnosis:
         return WindowDiagnosis.of(diagnose(
-            source.spec(), equal_pieces(data, length), candidates=options.candidates, seed=seed,
-             settings=SearchSettings(max_effects=most, numerics=False, plausible=False),
+            source.within_mjcf.spec(), equal_pieces(data, length), source.beyond_mjcf, candidates=options.candidates,
+            seed=seed, settings=SearchSettings(max_effects=most, numerics=False, plausible=False),
              unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen), laws=False,
         ))  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.files import write_atomically
 from idapt_pl.report.html import (
     TONE,
@@ -44,7 +45,8 @@ def write_run_report(run: Run, path: Path | None = None) -> Path:
 def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
     metric = run.worlds.task.metric
-    parts = [outcome_header(record, metric), missing_section(record), returns_section(record, metric)]
+    parts = [outcome_header(record, metric), missing_section(record), known_section(record)]
+    parts.append(returns_section(record, metric))
     steps = () if record.stepless else record.steps
     parts += [step_section(record, step, metric, run) for step in steps]
     parts += [times_section(record), ledger_section(record), run_settings_section(record)]
@@ -105,6 +107,26 @@ def missing_section(record: RunRecord) -> str:
     if record.unreadable:
         parts.append(f"These files cannot be read and are left out: {', '.join(record.unreadable)}.")
     return section("What is missing", *map(paragraph, parts)) if parts else ""
+
+
+def known_section(record: RunRecord) -> str:
+    """Effects that the config gave the source beforehand; nothing where it gave none."""
+    rows = [
+        row(
+            phrase_at(e["effect"], e["target"]),
+            ", ".join(f"{k} {told_parameter(v)}" for k, v in e["parameters"].items()),
+        )
+        for e in record.config.get("effects", {}).get("known") or ()
+    ]
+    if not rows:
+        return ""
+    note = paragraph("The config adds these to the source before anything is learned (effects.known).", "small")
+    return section("Known beforehand", table(["effect", "parameters"], rows), note)
+
+
+def told_parameter(value: object) -> str:
+    """A parameter's value: a number, a word, or several of them."""
+    return format_number(value) if isinstance(value, int | float) else str(value)
 
 
 def returns_section(record: RunRecord, metric: str) -> str:
