@@ -86,7 +86,7 @@ class IterativeGrounding:
     ) -> None:
         self.aside = aside
         self.context, self.evaluation, self.schedule = context, evaluation, schedule
-        self.repair = SourceRepair(context, effects, self.record_control, randomised)
+        self.repair = SourceRepair(context, effects, self.record_control, randomised, schedule.paired_steps)
         self.rollback = Rollback(context.worlds, context.stages, schedule.rollback)
         if schedule.exploration == "rehearse" and not context.teacher.settings.steps:
             raise ValueError(

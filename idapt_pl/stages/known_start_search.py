@@ -83,7 +83,7 @@ class KnownStartSearch:
 
 def effects_from_known_starts(
     c: StageContext, step: int, settings: DiscoverySettings, sensor: ImageSensor, target: Sequence[Path],
-    control: Path, G: VisualTransformation, pi: AsymmetricSAC, found: Sequence[dict] = (),
+    control: Path, G: VisualTransformation, pi: AsymmetricSAC, found: Sequence[dict] = (), paired_steps: int = 0,
 ) -> list[dict]:  # fmt: skip
     """The effects to add, as they are written; ``known_start_search.json`` says why these.
 
@@ -97,12 +97,14 @@ def effects_from_known_starts(
         G: shows source images as target images.
         pi: its encoder reads target images.
         found: effects that another search found.
+        paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged.
     """
 
     def make(seed: int) -> dict:
         source = c.worlds.source_domain
         candidates = forecast_candidates(source, read_calibrated(sensor, source, target, [control], G), settings)
-        forecasts = known_start_forecasts(c, target, control, G, pi, seed, RECORDINGS_JUDGED, MEMBERS_JUDGED)
+        sizes = RECORDINGS_JUDGED, MEMBERS_JUDGED
+        forecasts = known_start_forecasts(c, target, control, G, pi, seed, *sizes, paired_steps)
         return search_from_known_starts(candidates, *forecasts, [effect_from_dict(e) for e in found]).to_dict()
 
     return c.stages.measure(step, "known_start_search", make)["effects"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from datamodules import Episode, Trajectories
 from datamodules.unpaired import read_all
 from idapt_pl.effects import Effect
 from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
@@ -20,11 +22,20 @@ from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.labels import known_starts, recordings_of
 from idapt_pl.tasks import Task
 
+log = logging.getLogger(__name__)
+
 SECONDS, STEPS_LEAST, STEPS_MOST = 0.5, 8, 40
 """How long recordings are followed from their start, within bounds in control steps.
 
-Sooner the dynamics hardly tell, and G may have learned to make up for them; later a robot that moves otherwise than its
-source is where no estimator has been."""
+Sooner the dynamics hardly tell; later a robot that moves otherwise than its source is where no estimator has been."""
+SECONDS_AFTER_PAIRS, STEPS_AFTER_PAIRS = 0.3, 4
+"""For how long they are followed at least once the steps are over that G learned as pairs, and how many control steps
+of them a recording must have.
+
+In pairs G learns to show what the source did as what the target did after the same actions. So in these steps the
+encoder reads what the source would have done, whatever is missing (docs/decisions/059)."""
+RECORDINGS_LEAST = 8
+"""That last beyond the pairs; with fewer all are judged from their beginning."""
 SMALLEST_SCALE = 1e-3
 """Of a component, in units of its spread: what could be read better would not say more."""
 READING_ERROR = 6.0
@@ -57,6 +68,7 @@ class KnownStartForecasts:
     Attributes:
         smooth: ensembles of the source that readings hardly correct.
         recordings: as a sensor reads them.
+        begin: control steps of each that are not judged.
         steps: of each, from its start.
         shown: components of the state that positions depend on.
         scale: their spread.
@@ -65,6 +77,7 @@ class KnownStartForecasts:
 
     smooth: RecordingSmoother
     recordings: Sequence[ReadRecording]
+    begin: int
     steps: int
     shown: Sequence[int]
     scale: np.ndarray
@@ -74,7 +87,7 @@ class KnownStartForecasts:
         """Misfits (n,) of the forecasts of every recording by the source with these effects."""
         domain = self.smooth.domain.with_effects(*effects)
         made = replace(self.smooth, domain=domain)([r.first(self.steps) for r in self.recordings], self.seed)
-        return misfits([s.surprise[1:, self.shown] / self.scale for s in made])
+        return misfits([s.surprise[1 + self.begin :, self.shown] / self.scale for s in made])
 
     def first(self, recordings: int) -> KnownStartForecasts:
         """Of so many recordings."""
@@ -83,7 +96,7 @@ class KnownStartForecasts:
 
 def known_start_forecasts(
     c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int,
-    most: int, members: int,
+    most: int, members: int, paired_steps: int = 0,
 ) -> tuple[KnownStartForecasts, KnownStartForecasts]:  # fmt: skip
     """Forecasts of the first frames of the target, and of the control through G, where the source lacks nothing.
 
@@ -96,25 +109,39 @@ def known_start_forecasts(
         seed: of the ensembles.
         most: recordings of each.
         members: simulations that follow each.
+        paired_steps: control steps from where episodes begin that G learned as pairs.
     """
     worlds, sensor = c.worlds, pi.estimator(G)
     source, seen = read_all([control], also="state"), read_all(target)
-    known = replace(source, episodes=tuple(G.translate_episode(e) for e in source.episodes[:most]))
+    begin = paired_steps if min(len(lasting(d, paired_steps)) for d in (source, seen)) >= RECORDINGS_LEAST else 0
+    if begin < paired_steps:
+        log.warning(
+            "recordings are over with the %d steps that G learned as pairs: effects come out small", paired_steps
+        )
+    kept, watched = (lasting(d, begin)[:most] for d in (source, seen))
+    known = replace(source, episodes=tuple(G.translate_episode(e) for e in kept))
     states = np.concatenate([e.observations["state"] for e in known])
     read = recordings_of(known, sensor, worlds.frame_stack)
     readings = np.concatenate([r.readings for r in read])
     expected = reading_model(worlds.task, worlds.source_domain, readings, states).times(READING_ERROR)
-    first = recordings_of(replace(seen, episodes=seen.episodes[:most]), sensor, worlds.frame_stack)
+    first = recordings_of(replace(seen, episodes=tuple(watched)), sensor, worlds.frame_stack)
     smooth = RecordingSmoother(
         worlds.task, worlds.source_domain, expected, members, 0, torch.get_num_threads(), known_starts(worlds)
     )
     shown = position_components(worlds.task, states[0].astype(float))
     scale = states.std(0)[shown] + 1e-9
     steps = int(np.clip(round(SECONDS / worlds.period), STEPS_LEAST, STEPS_MOST))
+    if begin:
+        steps = max(steps, begin + max(STEPS_AFTER_PAIRS, round(SECONDS_AFTER_PAIRS / worlds.period)))
     of_target, of_control = (
-        KnownStartForecasts(smooth, recordings, steps, shown, scale, seed) for recordings in (first, read)
+        KnownStartForecasts(smooth, recordings, begin, steps, shown, scale, seed) for recordings in (first, read)
     )
     return of_target, of_control
+
+
+def lasting(data: Trajectories, begin: int) -> list[Episode]:
+    """Episodes of which some steps are left after the first so many."""
+    return [e for e in data.episodes if len(e) >= (begin + STEPS_AFTER_PAIRS if begin else 1)]
 
 
 def misfits(surprises: Sequence[np.ndarray]) -> np.ndarray:

@@ -28,12 +28,14 @@ class SourceRepair:
         record_control: grounding step to a new recording of the source as it is, from exploration, with states.
         randomised: whether policies train in variants of the source from then on, within the intervals of what is
             found.
+        paired_steps: control steps from where episodes begin that G learned as pairs, which hide what is missing.
     """
 
     context: StageContext
     settings: DiscoverySettings
     record_control: Callable[[int], Path]
     randomised: bool = False
+    paired_steps: int = 0
 
     def visual_effects(self, D_T: Path) -> None:
         """Add the visual effects that the first frames of the target's episodes show the source to lack."""
@@ -73,6 +75,9 @@ class SourceRepair:
         """Effects and what is estimated of them, where states tell positions."""
         worlds = self.context.worlds
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
+        if self.settings.refine and self.paired_steps:
+            told = (self.context, k, self.settings, sensor, target, control, G, pi)
+            return effects_from_known_starts(*told, paired_steps=self.paired_steps), []
 
         def make(seed: int) -> dict:
             found = discover_effects(
