@@ -61,7 +61,8 @@ class SourceRepair:
         if worlds.task.tells_positions:
             found, estimates = self._found_by_positions(k, target, control, G, pi)
         else:
-            found, estimates = effects_from_replays(self.context, k, self.settings, target, control, G, pi), []
+            sought = (self.context, k, self.settings, target, control, G, pi, self.paired_steps)
+            found, estimates = effects_from_replays(*sought), []
         if found and self.randomised:
             told = self.context.stages.folder(k) / "known_start_search.json"
             worlds.distribution = found_intervals(

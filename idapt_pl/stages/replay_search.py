@@ -30,7 +30,7 @@ from idapt_pl.smoothing import ReadRecording
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import JUDGED, TOLD, KnownStartSearch, gain_of
 from idapt_pl.stages.labels import known_starts, recordings_of
-from idapt_pl.stages.refinement import Misfits, Refined, mean_error, misfits, refine_parameters
+from idapt_pl.stages.refinement import STEPS_AFTER_PAIRS, Misfits, Refined, mean_error, misfits, refine_parameters
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
@@ -55,6 +55,7 @@ class Replays:
         recordings: as a sensor reads them, all of as many control steps.
         shown: components of the state that are known where episodes begin, and change.
         scale: their spread.
+        begin: control steps from where episodes begin that are not judged.
     """
 
     task: Task
@@ -62,13 +63,14 @@ class Replays:
     recordings: Sequence[ReadRecording]
     shown: Sequence[int]
     scale: np.ndarray
+    begin: int = 0
 
     def __call__(self, effects: Sequence[Effect]) -> np.ndarray:
         """Misfits (n,) of the replays of every recording in the source with these effects."""
         lasted, simulated = self.simulated(effects)
         return misfits(
             [
-                (r.readings[1 : n + 1][:, self.shown] - s[:n]) / self.scale
+                ((r.readings[1 : n + 1][:, self.shown] - s[:n]) / self.scale)[min(self.begin, n - 1) :]
                 for r, s, n in zip(self.recordings, simulated, lasted, strict=True)
             ]
         )
@@ -89,7 +91,7 @@ class Replays:
 
 def effects_from_replays(
     c: StageContext, step: int, settings: DiscoverySettings, target: Sequence[Path], control: Path,
-    G: VisualTransformation, pi: AsymmetricSAC,
+    G: VisualTransformation, pi: AsymmetricSAC, paired_steps: int = 0,
 ) -> list[dict]:  # fmt: skip
     """The effects to add, as they are written; ``known_start_search.json`` says why these.
 
@@ -101,6 +103,7 @@ def effects_from_replays(
         control: trajectory file of the source, images and states, that nothing was fitted to.
         G: shows source images as target images.
         pi: its encoder reads target images.
+        paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged.
     """
 
     def make(seed: int) -> dict:
@@ -115,10 +118,9 @@ def effects_from_replays(
         if not shown:
             log.warning("step %d  nothing of %s is known where episodes begin: no effects are sought", step, task.name)
             return KnownStartSearch(([], []), False, False, 0.0, 0.0, (0.0, 0.0, 0.0), ()).to_dict()
-        of_target, of_control = (
-            Replays(task, domain, of_one_length(recordings_of(d, pi.estimator(G), c.worlds.frame_stack)), shown, scale)
-            for d in (seen, known)
-        )
+        read = [of_one_length(recordings_of(d, pi.estimator(G), c.worlds.frame_stack)) for d in (seen, known)]
+        begin = paired_steps if min(len(r) for d in read for r in d) >= paired_steps + STEPS_AFTER_PAIRS else 0
+        of_target, of_control = (Replays(task, domain, d, shown, scale, begin) for d in read)
         moved = played_in_source(task, domain, of_target.recordings[:SIZED])
         sizes = typical_sizes(domain.compile(), moved, FORECAST_STEPS * seen.dt)
         every = choose_candidates(all_candidates(domain.spec(), sizes), settings.candidates)
