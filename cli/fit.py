@@ -21,7 +21,7 @@ from cli.provenance import claim, write_provenance
 from cli.run_folder import resumed_in_place
 from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
-from idapt_pl.files import read_yaml
+from idapt_pl.files import read_yaml, write_yaml
 from idapt_pl.image_diagnosis.known_effects import fill_known
 from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run
@@ -128,6 +128,12 @@ def open_aside(folder: Path, aside: Aside) -> Run:
     return GroundingCLI(["--config", str(folder / "config.yaml"), *alone], shows_bars=False).run(aside)
 
 
+def keep_known_effects(run: Run) -> None:
+    """Write ``effects.yaml`` of a run that begins with effects; what it finds itself is written there as well."""
+    if run.worlds.added_effects and not (path := run.folder / "effects.yaml").exists():
+        write_yaml(path, [e.to_dict() for e in run.worlds.added_effects])
+
+
 @contextmanager
 def ended(aside: Aside) -> Iterator[None]:
     """Leave no process behind."""
@@ -147,6 +153,7 @@ def main(args: list[str]) -> int:
     method = run.method  # settings that contradict each other end it here, where nothing is written yet
     with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
         write_provenance(cli.parser, cli.config, run.folder)
+        keep_known_effects(run)
         beside = isinstance(run.aside, OtherProcesses)
         if run.config.method == "idapt":
             run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from cli.fit import GroundingCLI
+from cli.fit import GroundingCLI, keep_known_effects
 from cli.main import main
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointStribeck
@@ -33,6 +33,12 @@ def test_a_run_begins_with_what_a_diagnosis_wrote(tmp_path, tiny_args):
     run = cli.run()
     assert run.worlds.added_effects == ADDED  # that of a sensor is none that images show
     assert cli.config.effects.known == TOLD  # the run folder needs no other file
+    run.folder.mkdir()
+    keep_known_effects(run)
+    assert [e["effect"] for e in yaml.safe_load((run.folder / "effects.yaml").read_text())] == [
+        "body_mass",
+        "joint_stribeck",
+    ]
     model = run.worlds.source_domain.compile()
     assert model.body("pole").mass[0] == pytest.approx(9.0) and model.joint("hinge").frictionloss[0] == 0.4
     assert run.worlds.target_domain.compile().body("pole").mass[0] == pytest.approx(200.0)
