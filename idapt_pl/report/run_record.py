@@ -110,7 +110,8 @@ class StepRecord:
     @property
     def source_repaired(self) -> bool:
         """Whether effects were added to the source in it."""
-        return any(found is not None and found.effects for found in (self.visual_effects, self.diagnosis))
+        physical = self.searched["effects"] if self.searched else self.diagnosis and self.diagnosis.effects
+        return bool(physical or (self.visual_effects and self.visual_effects.effects))
 
 
 @dataclass(frozen=True)
@@ -244,7 +245,7 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
         folder,
         evaluation=files.read(folder / "evaluation.json", ("target", "grounded", "translation")),
         diagnosis=files.read_as(folder / "effects.json", ImageDiagnosis.from_dict),
-        searched=files.read(folder / "known_start_search.json"),
+        searched=files.read(folder / "known_start_search.json", ("effects", "parameters")),
         selection=files.read(folder / "selection.json"),
         labels=files.read(folder / "reading_errors.json"),
         convergence=files.read(folder / "convergence.json"),

@@ -41,7 +41,7 @@ def step_section(record: RunRecord, step: StepRecord, metric: str, run: Run) -> 
         parts.append(visual_effects_section(step.visual_effects))
     if step.diagnosis is not None:
         parts.append(found_effects_section(step.diagnosis, model))
-        parts.append(known_start_section(step.searched))
+    parts.append(known_start_section(step.searched))
     parts += [step_images(step, run), step_numbers(step, metric)]
     grounded = "G, F" if "dynamics" in step.seconds else "G"
     learned = f"{grounded} and the policy" if step.k else "G, and effects" if step.source_repaired else "G alone"

@@ -226,6 +226,19 @@ def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     assert "None makes them better." in report(copied).text
 
 
+def test_a_search_from_known_starts_alone_is_told_too(copied):
+    effect = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 195.0}}
+    how = {"effect": "body_mass", "target": "pole", "parameter": "mass", "after": 195.0, "log_halfwidth": 0.2}
+    searched = {"effects": [effect], "best": [effect], "suggested": False, "parameters": [how], "tried": [],
+                "error": {"before": 0.35, "after": 0.2}, "gain": {"mean": 0.5, "standard_error": 0.02}}  # fmt: skip
+    (copied / "step_00/effects.json").unlink(missing_ok=True)
+    assert "Step 0: G alone" in report(copied).text
+    (copied / "step_00/known_start_search.json").write_text(json.dumps(searched))
+    text = report(copied).text
+    assert "Step 0: G, and effects" in text and "mass of body pole mass 195 20 %" in text
+    assert "visual grounding, source repaired" in text.lower()
+
+
 def test_a_folder_that_is_no_run_is_a_plain_error(tmp_path, capsys):
     assert main(["report", "--run", str(tmp_path)]) == 1
     printed = capsys.readouterr()
