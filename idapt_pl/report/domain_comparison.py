@@ -9,7 +9,6 @@ import numpy as np
 
 from idapt_pl.effects import Domain
 from idapt_pl.effects.differences import Difference, differences
-from idapt_pl.effects.runtime import CommandEffect
 from idapt_pl.tasks import Task
 
 LISTED_ELEMENTS = 6
@@ -35,12 +34,8 @@ class DomainDifference:
 
 def effects_beyond_mjcf(domain: Domain) -> list[Difference]:
     """The domain's effects that its model cannot show, since MJCF has no words for them."""
-    found = []
-    for effect in domain.effects:
-        if isinstance(effect, CommandEffect) and not effect.in_mjcf:
-            entry = effect.to_dict()
-            found.append(Difference(entry["effect"], entry["target"], "none", entry["parameters"]))
-    return found
+    told = [e.to_dict() for e in domain.beyond_mjcf]
+    return [Difference(e["effect"], e["target"], "none", e["parameters"]) for e in told]
 
 
 def compare_domains(task: Task) -> list[DomainDifference]:
