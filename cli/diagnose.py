@@ -39,8 +39,8 @@ from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.effects.wording import format_number, phrase_at
-from idapt_pl.effects_file import read_effects
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences

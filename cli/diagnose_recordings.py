@@ -25,7 +25,7 @@ from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
-from idapt_pl.effects_file import read_effects
+from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
 from idapt_pl.report.fault_section import consequence, fault_sentence

@@ -23,6 +23,7 @@ from cli.table import print_summary
 from idapt_pl.baselines.oracle import train_oracle
 from idapt_pl.files import read_yaml, write_yaml
 from idapt_pl.image_diagnosis.known_effects import fill_known
+from idapt_pl.randomisation.settings import fill_ranges
 from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run
 from idapt_pl.run_config import RunConfig
@@ -69,6 +70,7 @@ class GroundingCLI(LightningCLI):
         self.config.trainer.devices = one_device(self.config.trainer)
         fill_lengths(self.config.schedule, self.config.task, self.config.target)
         fill_known(self.config.effects)
+        fill_ranges(self.config.randomisation, self.config.task)
         self.config_init = self.parser.instantiate_classes(self.config)
         try:
             self.instantiate_trainer(logger=False)  # what it does not take is better said now

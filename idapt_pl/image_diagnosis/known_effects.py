@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from idapt_pl.effects import Effect
+from idapt_pl.effects.effects_file import effects_from_list, read_effect_list
 from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.signals import SensorDelay
 from idapt_pl.effects.wording import phrase_at
-from idapt_pl.effects_file import effects_from_list, read_effect_list
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)

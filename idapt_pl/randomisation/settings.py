@@ -54,7 +54,7 @@ class RandomisationSettings:
         """Where the ranges are from, and what they are."""
         if not isinstance(self.ranges, str):
             return "randomisation.ranges", self.ranges
-        known = read_yaml(RANGES / f"{task}.yaml") if (RANGES / f"{task}.yaml").exists() else {}
+        known = ranges_of(task)
         if self.ranges in known:
             return f"randomisation.ranges: {self.ranges}", known[self.ranges]
         if not (file := Path(self.ranges)).is_file():
@@ -64,6 +64,28 @@ class RandomisationSettings:
                 "or the path of a YAML file"
             )
         return str(file), read_yaml(file)
+
+
+def ranges_of(task: str) -> dict[str, Any]:
+    """The ranges that come with a task, by their names; none with a task of somebody's own."""
+    path = RANGES / f"{task}.yaml"
+    return read_yaml(path) if path.exists() else {}
+
+
+def fill_ranges(randomisation: Any, task: str) -> None:
+    """Put the content of the file that a config names in place of its name, so that a run folder needs no other file.
+
+    Args:
+        randomisation: what a parser made of the key ``randomisation``; changed in place.
+        task: its name.
+
+    Raises:
+        ValueError: if the file holds no ranges.
+    """
+    ranges = randomisation["ranges"]
+    if isinstance(ranges, str) and ranges not in ranges_of(task) and Path(ranges).is_file():
+        RandomisationSettings(ranges).distribution(task)  # what is wrong in it is said with the file's name
+        randomisation["ranges"] = read_yaml(Path(ranges))
 
 
 def draw_variants(distribution: DomainDistribution, source: Domain, number: int, seed: int) -> tuple[Domain, ...]:

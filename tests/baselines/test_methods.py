@@ -5,6 +5,7 @@ import pytest
 import yaml
 from conftest import QUICK, ROOT, TINY
 
+from cli.fit import GroundingCLI
 from cli.main import main
 from idapt_pl.baselines.methods import METHODS
 from idapt_pl.files import read_json
@@ -185,6 +186,22 @@ def test_the_cheetah_explores_backwards(preset, tmp_path):
 def test_what_makes_no_sense_is_told_before_anything_is_written(overrides, says, tmp_path, capsys):
     assert fit(tmp_path / "run", "direct_transfer", **overrides) != 0
     assert says in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
+def test_a_run_keeps_the_ranges_of_a_file(tmp_path, tiny_args):
+    told = [{"effect": "body_mass", "target": "pole", "parameters": {"mass": {"uniform": [4.0, 6.0]}}}]
+    (file := tmp_path / "ranges.yaml").write_text(yaml.safe_dump(told))
+    cli = GroundingCLI(tiny_args(tmp_path / "run", randomisation__ranges=file), shows_bars=False)
+    assert cli.config.randomisation.ranges == told  # the run folder needs no other file
+    masses = [v.compile().body("pole").mass[0] for v in cli.run().worlds.variants]
+    assert len(set(masses)) > 1 and all(4 <= m <= 6 for m in masses)
+
+
+def test_a_file_of_ranges_that_makes_no_sense_is_named(tmp_path, tiny_args, capsys):
+    (file := tmp_path / "ranges.yaml").write_text(yaml.safe_dump([{"effect": "body_mas", "target": "pole"}]))
+    assert main(["fit", *tiny_args(tmp_path / "run", randomisation__ranges=file)]) == 1
+    assert f"{file}: entry 1: unknown effect 'body_mas'" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_names_of_methods_are_those_that_there_are():
