@@ -11,7 +11,7 @@ from datamodules import read_trajectories
 from idapt_pl.tasks import make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 
-SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "schedule.grounding_steps": 1}
+SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "schedule.grounding_steps": 1, "randomisation.ranges": "null"}
 DAGGER = SHORT | {"teacher.dagger": 8}
 ON_ESTIMATES = SHORT | {
     "teacher.rehearse": 64, "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8,

@@ -39,7 +39,7 @@ RECORDINGS_GLANCED, RECORDINGS_TRIED = 3, 12
 STAYING, STAYING_LEAST = 0.25, 8
 """Share of the candidates that stay after the first glance, and how many at least."""
 JUDGED = 3
-"""Candidates that are judged by all recordings, their values refined."""
+"""Candidates that are judged by all recordings, their values refined by a few; the best is refined by all."""
 TOLD = 8
 """Candidates that the result names, the best first."""
 
@@ -131,9 +131,10 @@ def search_from_known_starts(
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
     without = of_target([])
     before = mean_error(without)
-    rivals = [refine_parameters([c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
-    scored = [(of_target(rival[0]), rival) for rival in rivals]
-    misfit, best = min(scored, key=lambda s: s[0].mean(), default=(without, ([], [])))
+    few = of_target.first(RECORDINGS_TRIED)
+    rivals = [refine_parameters([c.effect([x])], few)[0] for c, x, _ in tried[:JUDGED]]
+    best = refine_parameters(min(rivals, key=lambda rival: of_target(rival).mean(), default=[]), of_target)
+    misfit = of_target(best[0])
     gain, clear = gain_of(best[0], without, misfit, of_control)
     if suggested:
         own = refine_parameters(suggested, of_target)
