@@ -24,7 +24,6 @@ from idapt_pl.files import write_atomically, write_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.image_diagnosis.calibration import CalibratedReadings, read_calibrated
 from idapt_pl.image_diagnosis.forecast_diagnosis import diagnose_by_forecasts
-from idapt_pl.image_diagnosis.forecasts import FORECAST_STEPS
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
@@ -86,12 +85,6 @@ def diagnose_images_by_forecasts(
             f"{o.data[0]}'s first episodes, and by none that is held out: leave --fit and --hold-out away"
         )
     worlds, started = run.worlds, time.perf_counter()
-    if paired := run.config.schedule.paired_steps:
-        Console().print(
-            f"G learned the first {paired} control steps of episodes as pairs, and shows there what the source does as "
-            f"what the target did. Of the first {FORECAST_STEPS}, which are forecast, these hide what is missing.",
-            soft_wrap=True, highlight=False,
-        )  # fmt: skip
     options = DiscoverySettings(True, tuple(o.candidates or DEFAULT_CANDIDATES), o.max_effects)
     source = worlds.source_domain.with_effects(*declared)
     layout = "{desc}: {n} hypotheses played and rendered {elapsed}"
@@ -102,8 +95,9 @@ def diagnose_images_by_forecasts(
             return worlds.image_env(domain, num_envs)
 
         result = diagnose_by_forecasts(
-            source, images.sensor, images.G, o.data, [images.control], options, o.seed, make_env, images.readings
-        )
+            source, images.sensor, images.G, o.data, [images.control], options, o.seed, make_env, images.readings,
+            run.config.schedule.paired_steps,
+        )  # fmt: skip
     names, seconds = (o.run.name, o.data[0].name), time.perf_counter() - started
     write_forecast_diagnosis(result, worlds.source_domain, declared, o.out, names, seconds)
     return result

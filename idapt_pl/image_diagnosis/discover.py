@@ -24,6 +24,7 @@ from idapt_pl.modules import VisualTransformation
 def discover_effects(
     source: Domain, sensor: ImageSensor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: DiscoverySettings, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
+    paired_steps: int = 0,
 ) -> ImageDiagnosis:  # fmt: skip
     """Find the effects that the target's images show the source to lack.
 
@@ -36,6 +37,7 @@ def discover_effects(
         options: what to look for.
         seed: of the choice of windows, or of resets.
         make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
+        paired_steps: control steps from where episodes begin that G learned as pairs; forecasts are not judged there.
 
     Raises:
         ValueError: if forecasts are needed, and there are too few episodes for them or a candidate has several
@@ -43,5 +45,7 @@ def discover_effects(
     """
     readings = read_calibrated(sensor, source, target, control, G)
     if readings.calibration.velocities_unreliable:
-        return diagnose_by_forecasts(source, sensor, G, target, control, options, seed, make_env, readings)
+        return diagnose_by_forecasts(
+            source, sensor, G, target, control, options, seed, make_env, readings, paired_steps
+        )
     return diagnose_by_windows(sensor.task, source, readings, options, seed)

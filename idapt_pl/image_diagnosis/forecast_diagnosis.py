@@ -42,7 +42,7 @@ from idapt_pl.modules import VisualTransformation
 def diagnose_by_forecasts(
     source: Domain, sensor: ImageSensor, G: VisualTransformation, target: Sequence[Path],
     control: Sequence[Path], options: DiscoverySettings, seed: int, make_env: Callable[[Domain, int], VectorImageEnv],
-    readings: CalibratedReadings,
+    readings: CalibratedReadings, paired_steps: int = 0,
 ) -> ImageDiagnosis:  # fmt: skip
     """Diagnose the source by forecasts; nothing is sought in the control.
 
@@ -56,21 +56,22 @@ def diagnose_by_forecasts(
         seed: of resets.
         make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
         readings: what the sensor read of both.
+        paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged.
 
     Raises:
         ValueError: if fewer than two of the target's episodes are long enough, or a candidate has several parameters.
     """
     model, dt = source.compile(), readings.target.dt
     compared, calibration = ComparedChannels(sensor.task, model), readings.calibration
-    starts = observed_starts(sensor, read_all(target), dt, compared)
+    starts = observed_starts(sensor, read_all(target), dt, compared, begin=paired_steps)
     if len(starts) < 2:
         raise ValueError(
-            f"{', '.join(map(str, target))}: {len(starts)} episodes last {SHORTEST_EPISODE} control steps; effects are "
-            "judged by forecasts of such, and at least 2 are needed"
+            f"{', '.join(map(str, target))}: {len(starts)} episodes last {paired_steps + SHORTEST_EPISODE} control "
+            "steps; effects are judged by forecasts of such, and at least 2 are needed"
         )
-    control_starts = observed_starts(sensor, read_all(control, also="state"), dt, compared, G)
-    exact = image_forecaster(starts, sensor, G, compared, make_env, dt)
-    quick = state_forecaster(starts, source, compared, calibration.position, dt, seed)
+    control_starts = observed_starts(sensor, read_all(control, also="state"), dt, compared, G, paired_steps)
+    exact = image_forecaster(starts, sensor, G, compared, make_env, dt, paired_steps)
+    quick = state_forecaster(starts, source, compared, calibration.position, dt, seed, paired_steps)
     candidates = forecast_candidates(source, readings, options)
     accepted, next_best = search_by_forecasts(source, candidates, quick, exact, options.max_effects, seed)
 

@@ -28,6 +28,10 @@ ENSEMBLE_SIZE = 4
 FORECAST_STEPS = 20
 """Control steps that are forecast: what follows says ever less, since contacts multiply what resets differ by."""
 
+FORECAST_AFTER_PAIRS = 10
+"""Of these at least so many after the steps that G learned as pairs: it shows there what the source would have done
+(docs/decisions/059)."""
+
 FORECAST_EPISODES = 12
 """Episodes that are forecast, at most."""
 
@@ -54,6 +58,7 @@ class Forecaster:
         to_channels: from that of one member, (t+1, ...), and the commands (t, nu) that were played, to channels
             (t+1, d).
         scale: of the channels, (d,).
+        begin: control steps that are played and not judged.
     """
 
     starts: tuple[ObservedStart, ...]
@@ -61,6 +66,7 @@ class Forecaster:
     observe: Observe
     to_channels: Callable[[np.ndarray, np.ndarray], np.ndarray]
     scale: np.ndarray
+    begin: int = 0
 
     def ensembles(self, domain: Domain, seed: int, count: int | None = None) -> list[np.ndarray]:
         """What the first ``count`` starts were to be expected to look like in a domain, (members, T+1, d) each.
@@ -82,12 +88,13 @@ class Forecaster:
     def scores_of(self, expected: Sequence[np.ndarray]) -> np.ndarray:
         """Energy scores of :meth:`ensembles`, (n,)."""
         pairs = zip(expected, self.starts, strict=False)
-        return np.array([energy_score(x / self.scale, s.read / self.scale) for x, s in pairs])
+        judged = ((x[:, self.begin :], s.read[self.begin :]) for x, s in pairs)
+        return np.array([energy_score(x / self.scale, read / self.scale) for x, read in judged])
 
     def errors_of(self, expected: Sequence[np.ndarray]) -> np.ndarray:
         """Root mean square of what was read less the means of :meth:`ensembles`, of each channel, (d,)."""
         pairs = zip(expected, self.starts, strict=True)
-        return np.sqrt(np.mean(np.concatenate([np.square(x.mean(0) - s.read)[1:] for x, s in pairs]), 0))
+        return np.sqrt(np.mean(np.concatenate([np.square(x.mean(0) - s.read)[self.begin + 1 :] for x, s in pairs]), 0))
 
 
 def play_commands(env: VectorImageEnv, commands: np.ndarray, seed: int, observe: Observe) -> list[np.ndarray]:
@@ -120,19 +127,21 @@ def observed_starts(
     dt: float,
     compared: ComparedChannels,
     G: VisualTransformation | None = None,
+    begin: int = 0,
 ) -> tuple[ObservedStart, ...]:
-    """The beginnings of episodes that last long enough, as a sensor reads them; ``G`` shows it source images."""
-    long = [e for e in episodes if len(e) >= SHORTEST_EPISODE][:FORECAST_EPISODES]
-    short = [
-        Episode(e.actions[:FORECAST_STEPS], {k: v[: FORECAST_STEPS + 1] for k, v in e.observations.items()})
-        for e in long
-    ]
+    """The beginnings of episodes that last long enough, as a sensor reads them; ``G`` shows it source images.
+
+    ``begin`` control steps of each are not to be judged.
+    """
+    steps = max(FORECAST_STEPS, begin + FORECAST_AFTER_PAIRS)
+    long = [e for e in episodes if len(e) >= begin + SHORTEST_EPISODE][:FORECAST_EPISODES]
+    short = [Episode(e.actions[:steps], {k: v[: steps + 1] for k, v in e.observations.items()}) for e in long]
     return tuple(ObservedStart(e.actions, compared.motion(*sensor.motion(e, dt, G))) for e in short)
 
 
 def image_forecaster(
     starts: tuple[ObservedStart, ...], sensor: ImageSensor, G: VisualTransformation, compared: ComparedChannels,
-    make_env: Callable[[Domain, int], VectorImageEnv], dt: float,
+    make_env: Callable[[Domain, int], VectorImageEnv], dt: float, begin: int = 0,
 ) -> Forecaster:  # fmt: skip
     """Forecasts that are rendered, seen through G and read by the sensor.
 
@@ -143,6 +152,7 @@ def image_forecaster(
         compared: makes channels of motions.
         make_env: simulations of a domain with images, so many side by side.
         dt: control period, s.
+        begin: control steps that are not judged.
     """
 
     def read(frames: np.ndarray, commands: np.ndarray) -> np.ndarray:
@@ -153,12 +163,12 @@ def image_forecaster(
         return obs["pixels"][:, -1]
 
     scale = standard_deviation([s.read for s in starts])
-    return Forecaster(starts, lambda domain: make_env(domain, ENSEMBLE_SIZE), newest_frame, read, scale)
+    return Forecaster(starts, lambda domain: make_env(domain, ENSEMBLE_SIZE), newest_frame, read, scale, begin)
 
 
 def state_forecaster(
     starts: tuple[ObservedStart, ...], source: Domain, compared: ComparedChannels, noise: np.ndarray, dt: float,
-    seed: int,
+    seed: int, begin: int = 0,
 ) -> Forecaster:  # fmt: skip
     """Forecasts of positions alone, without images: quick, and what the sensor gets wrong is white noise to them.
 
@@ -170,6 +180,7 @@ def state_forecaster(
         noise: standard deviation of the sensor's errors of positions, (nv,).
         dt: control period, s.
         seed: of those errors.
+        begin: control steps that are not judged.
     """
     n, noise = len(compared.dofs), noise[compared.dofs]
     positions = tuple(ObservedStart(s.commands, s.read[:, :n]) for s in starts)
@@ -183,7 +194,7 @@ def state_forecaster(
 
     scale = standard_deviation([s.read for s in positions])
     forecasts = Forecaster(
-        positions, lambda domain: VectorStateEnv(compared.task, domain, ENSEMBLE_SIZE), state, read, scale
+        positions, lambda domain: VectorStateEnv(compared.task, domain, ENSEMBLE_SIZE), state, read, scale, begin
     )
     moves = standard_deviation([x.reshape(-1, n) for x in forecasts.ensembles(source, seed)])
     return replace(forecasts, scale=np.maximum(scale, moves))

@@ -82,8 +82,9 @@ class SourceRepair:
 
         def make(seed: int) -> dict:
             found = discover_effects(
-                worlds.source_domain, sensor, G, target, [control], self.settings, seed, worlds.image_env
-            )
+                worlds.source_domain, sensor, G, target, [control], self.settings, seed, worlds.image_env,
+                self.paired_steps,
+            )  # fmt: skip
             return found.to_dict()
 
         result = self.context.stages.measure(k, "effects", make)

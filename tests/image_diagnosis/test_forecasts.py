@@ -85,6 +85,26 @@ def test_the_right_dynamics_forecast_best(mass):
     assert forecasts.errors_of(forecasts.ensembles(SOURCE, 0)).shape == (4,)
 
 
+def test_what_pairs_show_of_the_source_is_not_judged():
+    """As G shows it: what the source did in the first steps, as what the target did."""
+    seen, own, paired = pendulum_forecasts((BodyMass("pole", 200.0),)), pendulum_forecasts(()), 4
+    starts = tuple(
+        replace(s, read=np.concatenate([o.read[:paired], s.read[paired:]]))
+        for s, o in zip(seen.starts, own.starts, strict=True)
+        if min(len(s.read), len(o.read)) > paired + 2
+    )
+    masses = (4.895, 100.0, 200.0, 400.0)
+    worlds = [SOURCE.with_effects(BodyMass("pole", m)) for m in masses]
+    after = replace(seen, starts=starts, begin=paired)
+    scores = np.array([after.scores(d, 0).mean() for d in worlds])
+    assert masses[scores.argmin()] == 200.0, scores
+    whole = np.array([replace(after, begin=0).scores(d, 0).mean() for d in worlds])
+    assert scores[2] / scores[0] < whole[2] / whole[0], "the pairs make it look less wrong without"
+    played = after.ensembles(worlds[2], 0)
+    left = np.concatenate([(x.mean(0) - s.read)[paired + 1 :] for x, s in zip(played, starts, strict=True)])
+    assert after.errors_of(played) == pytest.approx(np.sqrt(np.square(left).mean(0)))
+
+
 class Valley:
     """Scores with their lowest point at a pole of 80 kg, in the logarithm, a little elsewhere for each episode."""
 
