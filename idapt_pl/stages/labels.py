@@ -26,7 +26,7 @@ from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
 
-LABELLED = "labelled"
+LABELLED_TARGET = "labelled"
 """Name of the recordings of the target with states by physics."""
 
 STARTS = 32
@@ -97,12 +97,12 @@ def label_target(
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
-    return [c.stages.record(step, LABELLED, make)[0]]
+    return [c.stages.record(step, LABELLED_TARGET, make)[0]]
 
 
 def labelled_of_target(files: Sequence[Path]) -> list[Path]:
     """Those of :func:`labelled_images` that show the target itself."""
-    return [f for f in files if f.stem == LABELLED]
+    return [f for f in files if f.stem == LABELLED_TARGET]
 
 
 def smoother_of(
