@@ -26,9 +26,6 @@ from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
 
-LABELLED_TARGET = "labelled"
-"""Name of the recordings of the target with states by physics."""
-
 STARTS = 32
 """Of the source, which stand for those of the target."""
 
@@ -97,12 +94,7 @@ def label_target(
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
-    return [c.stages.record(step, LABELLED_TARGET, make)[0]]
-
-
-def labelled_of_target(files: Sequence[Path]) -> list[Path]:
-    """Those of :func:`labelled_images` that show the target itself."""
-    return [f for f in files if f.stem == LABELLED_TARGET]
+    return [c.stages.record(step, "labelled", make)[0]]
 
 
 def smoother_of(

@@ -29,7 +29,6 @@ from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import copy_critics
 from idapt_pl.stages.encoder import fit_encoder_on
-from idapt_pl.stages.labels import labelled_of_target
 from idapt_pl.stages.schedule import StageLengths
 
 SIMULATIONS = 8
@@ -68,7 +67,7 @@ def fit_on_estimates(
     def grounded(device: torch.device) -> GroundedEnv:
         return c.worlds.grounded_over(c.worlds.training_source(c.batches.num_envs), G, F)
 
-    errors = partial(errors_of_estimates, pi, [trial, *labelled_of_target(labelled)])
+    errors = partial(errors_of_estimates, pi, [trial])
     hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
     return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F)
 

@@ -3,8 +3,6 @@
 import copy
 import json
 import shutil
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.smoothing import Smoothed
 from idapt_pl.stages.labels import labelled, when_lost
-from idapt_pl.stages.on_estimates import errors_of_estimates, fit_on_estimates, in_rehearsals, read_episodes, take_over
+from idapt_pl.stages.on_estimates import errors_of_estimates, in_rehearsals, read_episodes, take_over
 from idapt_pl.stages.schedule import StageLengths
 
 SIZES = {"state_dim": 2, "action_low": [-100.0], "action_high": [100.0], "hidden": (16,)}
@@ -314,20 +312,6 @@ def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeyp
     lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
     learned = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None)
     assert played[0] is None and played[1].number == 12 and learned.number == 13
-
-
-def test_teachers_are_hardened_with_the_errors_of_the_targets_own_frames_too(monkeypatch, teacher, policy):
-    """Where the source is seen through G estimates are better than in the target."""
-    stages, measured = "idapt_pl.stages.on_estimates", []
-    monkeypatch.setattr(f"{stages}.in_rehearsals", lambda *args: policy)
-    monkeypatch.setattr(f"{stages}.rehearse", lambda c, k, name, *rest: Path(f"{name}.h5"))
-    monkeypatch.setattr(f"{stages}.errors_of_estimates", lambda pi, files: measured.extend(f.name for f in files))
-    to_harden = SimpleNamespace(to_be_hardened=True, hardened=lambda k, build, errors, env, F: errors())
-    c = SimpleNamespace(teacher=to_harden, new_policy=lambda pi: pi)
-    lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
-    files = [Path("step_00/translated.h5"), Path("step_00/labelled.h5")]
-    fit_on_estimates(c, 0, "", lengths, files, teacher, policy)
-    assert measured == ["trial_rehearsal.h5", "labelled.h5"]
 
 
 def lose(folder, stage):
