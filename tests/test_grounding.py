@@ -302,6 +302,7 @@ def test_a_policy_that_does_worse_in_the_grounded_source_after_its_training_is_p
     assert (told["trial_before"], told["trial_after"], told["kept"]) == (*returns, kept)
 
 
+@pytest.mark.slow
 def test_without_finetuning_G_keeps_the_P_T_that_was_trained_with_it(finished_run, tiny_args, tmp_path):
     run = tmp_path / "kept"
     shutil.copytree(finished_run / "step_00", run / "step_00")
@@ -362,6 +363,7 @@ def test_the_summary_tells_of_effects_as_they_were_refined(finished_run, tiny_ar
     assert [e["parameters"]["mass"] for e in json.loads((run / "summary.json").read_text())["effects"]] == [44.0]
 
 
+@pytest.mark.slow
 def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(finished_run, tmp_path, monkeypatch):
     """Hardly trained estimators do not. The whole way through: images of the target, G, the sensor, the run folder."""
     monkeypatch.setattr("idapt_pl.image_diagnosis.forecasts.FORECAST_EPISODES", 4)
@@ -381,6 +383,7 @@ def test_the_loop_judges_effects_by_forecasts_where_images_do_not_tell_speeds(fi
     assert (run / "ledger.json").read_text() == ledger, "no further step in the target"
 
 
+@pytest.mark.slow
 def test_visual_effects_are_added_before_anything_is_learned_and_stay_when_the_run_is_opened(
     tmp_path, tiny_args, capsys
 ):
@@ -436,6 +439,7 @@ def test_where_its_sensor_is_vague_a_recording_of_images_is_diagnosed_by_forecas
     assert "leave --fit and --hold-out away" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 def test_the_looks_of_a_recording_are_compared_with_what_the_source_of_a_run_shows(finished_run, tmp_path, capsys):
     data, out = finished_run / "step_00/source.h5", tmp_path / "seen"
     options = ["--looks", "--candidates", "body_mass", "--max-effects", "1"]
@@ -508,6 +512,7 @@ def kill_after_one(monkeypatch):
         monkeypatch.setattr(Stages, name, killing(getattr(Stages, name)))
 
 
+@pytest.mark.slow
 def test_a_run_killed_after_every_single_stage_ends_bitwise_like_the_uninterrupted_one(
     finished_run, tiny_args, tmp_path, monkeypatch
 ):

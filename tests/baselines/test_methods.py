@@ -77,7 +77,7 @@ def test_what_knows_the_source_alone_takes_no_step_in_the_target(preset, tmp_pat
         assert len(drawn) == 3 and drawn[0] != drawn[1], "what was drawn is written down"
 
 
-@pytest.mark.parametrize("preset", ["cc_state", "cc_image"])
+@pytest.mark.parametrize("preset", [slow("cc_state"), "cc_image"])
 def test_a_correspondence_counts_its_steps_and_records_what_the_target_shows(preset, tmp_path):
     assert fit(tmp_path, preset) == 0
     summary, ledger = results(tmp_path)
@@ -92,6 +92,7 @@ def test_a_correspondence_counts_its_steps_and_records_what_the_target_shows(pre
     assert "has not ended" not in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_correspondence_that_is_resumed_ends_with_the_same_numbers(tmp_path):
     assert fit(tmp_path, "cc_image") == 0
     before = results(tmp_path)[0]["grounded"]
@@ -149,7 +150,7 @@ def test_policies_train_within_the_interval_of_what_was_found(tmp_path, monkeypa
     assert summary["effects"] == [{"step": 0} | found] and summary["target_interactions"] == 60
 
 
-@pytest.mark.parametrize("preset", [slow("data_expert"), "data_random_expert"])
+@pytest.mark.parametrize("preset", [slow("data_expert"), slow("data_random_expert")])
 def test_experts_explore_both_worlds_and_the_target_file_holds_images_alone(preset, tmp_path):
     assert fit(tmp_path, preset, schedule__grounding_steps=0) == 0
     assert (tmp_path / "step_00" / EXPERTS["expert"] / "final.ckpt").exists()

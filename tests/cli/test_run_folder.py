@@ -35,7 +35,7 @@ def same_results(a, b):
     return all(content(a, name) == content(b, name) for name in names)
 
 
-@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("relative", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_moved_run_folder_resumes_where_it_is(moved, finished_run, relative, monkeypatch):
     (moved / "step_02/evaluation.json").unlink()
     before = {p: p.stat().st_mtime_ns for p in finished_run.rglob("*")}

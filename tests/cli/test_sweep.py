@@ -103,6 +103,7 @@ def test_an_index_beyond_the_sweep_is_refused(sweep_yaml, capsys):
     assert "--index 1: the sweep has runs 0 to 0" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_sigterm_ends_every_run_and_says_how_to_go_on(sweep_yaml, tmp_path):
     path = sweep_yaml(overrides={"schedule.pretrain.state_predictor": LONG})
     folder = SweepFolder(tmp_path / "sweep")

@@ -33,7 +33,7 @@ def with_elbow(data: Trajectories, velocities: bool = True, command: float = 0.0
     return Trajectories(tuple(made), data.dt)
 
 
-@pytest.mark.parametrize("velocities", (True, False))
+@pytest.mark.parametrize("velocities", (pytest.param(True, marks=pytest.mark.slow), False))
 def test_damping_of_the_shoulder_is_found_though_the_elbow_is_locked(tmp_path, velocities):
     """Without the lock the model's elbow swings, and no value of the shoulder explains its motion."""
     (tmp_path / "arm.xml").write_text(ARM)

@@ -28,6 +28,7 @@ def ledger(tmp_path):
     return Ledger(tmp_path / "ledger.json")
 
 
+@pytest.mark.slow
 def test_entries_of_processes_that_write_at_the_same_time_are_all_kept(ledger):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     processes = [

@@ -235,6 +235,7 @@ def test_a_teacher_costs_no_target_interactions(taught_run):
     assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
 
 
+@pytest.mark.slow
 def test_the_policys_sac_goes_on_from_the_student(taught_run, tiny_args, tmp_path):
     run = tmp_path / "student"
     overrides = {"teacher__steps": 16, "teacher__adapt": 12, "teacher__dagger": 16, "schedule__grounding_steps": 0}

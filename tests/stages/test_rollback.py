@@ -211,6 +211,7 @@ def test_the_identity_against_itself_and_an_improvement_are_kept(decide):
     assert "kept" in better.sentence
 
 
+@pytest.mark.slow
 def test_the_residual_is_the_same_for_the_identity_and_falls_beyond_its_spread_for_what_is_right(worlds, tmp_path):
     def measured(F):
         return transition_residual(worlds, Centering(), None, F, [tmp_path / "target.h5"], 3)

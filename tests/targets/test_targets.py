@@ -182,6 +182,7 @@ def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fail
     assert main(["ledger", "--run", str(run)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("lab")
 def test_what_was_judged_later_is_kept_too_when_the_robot_fails(tmp_path, capsys, monkeypatch):
     answers: list[str] = []
