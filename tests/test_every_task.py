@@ -12,6 +12,7 @@ from idapt_pl.tasks import make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 
 SHORT = {"teacher.steps": 8, "teacher.adapt": 8, "schedule.grounding_steps": 1, "randomisation.ranges": "null"}
+"""TINY seeks no effects, so none can be drawn."""
 DAGGER = SHORT | {"teacher.dagger": 8}
 ON_ESTIMATES = SHORT | {
     "teacher.rehearse": 64, "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from datamodules import Episode
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
 from idapt_pl.diagnosis.data import as_recordings
@@ -23,6 +25,7 @@ from idapt_pl.image_diagnosis.forecasts import (
     FORECAST_STEPS,
     ObservedStart,
     image_forecaster,
+    long_enough,
     observed_starts,
     state_forecaster,
 )
@@ -37,6 +40,10 @@ from idapt_pl.image_diagnosis.result import (
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import SHORTEST_EPISODE, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
+
+log = logging.getLogger(__name__)
+EPISODES_LEAST = 2
+"""Of the target, to judge effects by."""
 
 
 def diagnose_by_forecasts(
@@ -56,22 +63,21 @@ def diagnose_by_forecasts(
         seed: of resets.
         make_env: simulations of a domain, so many side by side, with images as the sensor takes them.
         readings: what the sensor read of both.
-        paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged.
+        paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged, if enough
+            episodes outlast them.
 
     Raises:
         ValueError: if fewer than two of the target's episodes are long enough, or a candidate has several parameters.
     """
     model, dt = source.compile(), readings.target.dt
     compared, calibration = ComparedChannels(sensor.task, model), readings.calibration
-    starts = observed_starts(sensor, read_all(target), dt, compared, begin=paired_steps)
-    if len(starts) < 2:
-        raise ValueError(
-            f"{', '.join(map(str, target))}: {len(starts)} episodes last {paired_steps + SHORTEST_EPISODE} control "
-            "steps; effects are judged by forecasts of such, and at least 2 are needed"
-        )
-    control_starts = observed_starts(sensor, read_all(control, also="state"), dt, compared, G, paired_steps)
-    exact = image_forecaster(starts, sensor, G, compared, make_env, dt, paired_steps)
-    quick = state_forecaster(starts, source, compared, calibration.position, dt, seed, paired_steps)
+    seen, own = read_all(target), read_all(control, also="state")
+    begin = first_judged(paired_steps, seen, own)
+    starts = observed_starts(sensor, seen, dt, compared, begin=begin)
+    check_enough(starts, target)
+    control_starts = observed_starts(sensor, own, dt, compared, G, begin)
+    exact = image_forecaster(starts, sensor, G, compared, make_env, dt, begin)
+    quick = state_forecaster(starts, source, compared, calibration.position, dt, seed, begin)
     candidates = forecast_candidates(source, readings, options)
     accepted, next_best = search_by_forecasts(source, candidates, quick, exact, options.max_effects, seed)
 
@@ -99,6 +105,24 @@ def diagnose_by_forecasts(
             SYSTEMATIC_LOG_STD, example_episode(compared, starts, first, last, scores_before - scores_after, dt)
         ),
     )
+
+
+def first_judged(paired_steps: int, *recorded: Iterable[Episode]) -> int:
+    """The control step from which forecasts are judged: after the pairs, or the first where too few last so long."""
+    if min(len(long_enough(episodes, paired_steps)) for episodes in recorded) >= EPISODES_LEAST:
+        return paired_steps
+    if paired_steps:
+        log.warning("too few episodes outlast the %d steps that G learned as pairs: all are judged", paired_steps)
+    return 0
+
+
+def check_enough(starts: Sequence[ObservedStart], target: Sequence[Path]) -> None:
+    """Refuse to judge effects by fewer episodes of the target than :data:`EPISODES_LEAST`."""
+    if len(starts) < EPISODES_LEAST:
+        raise ValueError(
+            f"{', '.join(map(str, target))}: {len(starts)} episodes last {SHORTEST_EPISODE} control steps; effects are "
+            f"judged by forecasts of such, and at least {EPISODES_LEAST} are needed"
+        )
 
 
 def forecast_candidates(source: Domain, readings: CalibratedReadings, options: DiscoverySettings) -> list[Candidate]:

@@ -134,9 +134,14 @@ def observed_starts(
     ``begin`` control steps of each are not to be judged.
     """
     steps = max(FORECAST_STEPS, begin + FORECAST_AFTER_PAIRS)
-    long = [e for e in episodes if len(e) >= begin + SHORTEST_EPISODE][:FORECAST_EPISODES]
+    long = long_enough(episodes, begin)[:FORECAST_EPISODES]
     short = [Episode(e.actions[:steps], {k: v[: steps + 1] for k, v in e.observations.items()}) for e in long]
     return tuple(ObservedStart(e.actions, compared.motion(*sensor.motion(e, dt, G))) for e in short)
+
+
+def long_enough(episodes: Iterable[Episode], begin: int = 0) -> list[Episode]:
+    """Episodes of which enough is left to judge after so many control steps."""
+    return [e for e in episodes if len(e) >= begin + SHORTEST_EPISODE]
 
 
 def image_forecaster(

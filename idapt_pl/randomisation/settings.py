@@ -83,7 +83,7 @@ def fill_ranges(randomisation: Any, task: str) -> None:
         ValueError: if the file holds no ranges.
     """
     ranges = randomisation["ranges"]
-    if isinstance(ranges, str) and ranges not in ranges_of(task) and Path(ranges).is_file():
+    if isinstance(ranges, str) and ranges not in (FOUND, *ranges_of(task)) and Path(ranges).is_file():
         RandomisationSettings(ranges).distribution(task)  # what is wrong in it is said with the file's name
         randomisation["ranges"] = read_yaml(Path(ranges))
 

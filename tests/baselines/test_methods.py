@@ -198,6 +198,13 @@ def test_a_run_keeps_the_ranges_of_a_file(tmp_path, tiny_args):
     assert len(set(masses)) > 1 and all(4 <= m <= 6 for m in masses)
 
 
+def test_a_file_that_is_called_found_is_none_of_ranges(tmp_path, tiny_args, monkeypatch):
+    (tmp_path / "found").write_text("[]")
+    monkeypatch.chdir(tmp_path)
+    args = tiny_args(tmp_path / "run", randomisation__ranges="found", effects__discover="true")
+    assert GroundingCLI(args, shows_bars=False).config.randomisation.ranges == "found"
+
+
 def test_a_file_of_ranges_that_makes_no_sense_is_named(tmp_path, tiny_args, capsys):
     (file := tmp_path / "ranges.yaml").write_text(yaml.safe_dump([{"effect": "body_mas", "target": "pole"}]))
     assert main(["fit", *tiny_args(tmp_path / "run", randomisation__ranges=file)]) == 1

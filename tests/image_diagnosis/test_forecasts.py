@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from datamodules import Episode
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.estimation.energy import energy_score
-from idapt_pl.image_diagnosis.forecast_diagnosis import of_one_parameter
+from idapt_pl.image_diagnosis.forecast_diagnosis import first_judged, of_one_parameter
 from idapt_pl.image_diagnosis.forecast_search import bracket_minimum, evaluate_at, first_values, refine_estimate
 from idapt_pl.image_diagnosis.forecasts import Forecaster, ObservedStart, pad_with_last, play_commands
 from idapt_pl.image_diagnosis.parabola import SYSTEMATIC_LOG_STD, parabola_minimum
@@ -103,6 +104,18 @@ def test_what_pairs_show_of_the_source_is_not_judged():
     played = after.ensembles(worlds[2], 0)
     left = np.concatenate([(x.mean(0) - s.read)[paired + 1 :] for x, s in zip(played, starts, strict=True)])
     assert after.errors_of(played) == pytest.approx(np.sqrt(np.square(left).mean(0)))
+
+
+def lasting(*steps):
+    return [Episode(np.zeros((n, 1), np.float32), {"pixels": np.zeros((n + 1, 2, 2, 3), np.uint8)}) for n in steps]
+
+
+@pytest.mark.parametrize(
+    ("target", "control", "begin"), [((30, 26, 8), (30, 30), 20), ((30, 25, 8), (30, 30), 0), ((30, 30), (30, 8), 0)]
+)
+def test_where_too_few_episodes_outlast_the_pairs_all_steps_are_judged(target, control, begin, caplog):
+    assert first_judged(20, lasting(*target), lasting(*control)) == begin
+    assert ("all are judged" in caplog.text) == (begin == 0)
 
 
 class Valley:
