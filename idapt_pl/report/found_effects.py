@@ -33,8 +33,10 @@ def known_start_section(searched: dict) -> str:
     if not searched["parameters"]:
         return paragraph(said + "None makes them better.")
     error, gain = searched["error"], searched["gain"]
-    numbers = error["before"], error["after"], gain["mean"], gain["standard_error"]
-    before, after, mean, spread = map(format_number, numbers)
+    before, after, mean = map(format_number, (error["before"], error["after"], gain["mean"]))
+    spread = "in fewer than half of the recordings"
+    if gain["standard_error"] is not None:
+        spread = f"± {format_number(gain['standard_error'])}, one standard error"
     values = []
     for p in searched["parameters"]:
         sure = "-" if p["log_halfwidth"] is None else f"{format_number(100 * p['log_halfwidth'])} %"
@@ -44,8 +46,8 @@ def known_start_section(searched: dict) -> str:
     if searched["effects"]:
         verdict = "This is what had been found before" if searched["suggested"] else "So this was added"
     said += (
-        f"They are best with what the table has: their error falls from {before} to {after} (by {mean} ± {spread} "
-        f"nats, one standard error). {verdict}."
+        f"They are best with what the table has: their error falls from {before} to {after} (by {mean} nats, "
+        f"{spread}). {verdict}."
     )
     best = table(("effect", "parameter", "#value", "#give or take (95 %)"), values)
     tried = [(t["candidate"], *(f"#{format_number(t[key])}" for key in ("value", "error"))) for t in searched["tried"]]

@@ -67,9 +67,10 @@ class KnownStartSearch:
     tried: tuple[tuple[str, float, float], ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """As ``known_start_search.json`` has it."""
+        """As ``known_start_search.json`` has it: no standard error where fewer than half of the recordings gain."""
         effects, how = [e.to_dict() for e in self.best[0]], [dataclasses.asdict(r) for r in self.best[1]]
-        gain = dict(zip(("mean", "standard_error", "in_control"), map(six_digits, self.gain), strict=True))
+        finite = [six_digits(x) if np.isfinite(x) else None for x in self.gain]  # JSON has no infinity
+        gain = dict(zip(("mean", "standard_error", "in_control"), finite, strict=True))
         return {
             "effects": effects if self.accepted else [],
             "best": effects,
@@ -140,7 +141,7 @@ def search_from_known_starts(
         own = refine_parameters(suggested, of_target)
         its_misfit = of_target(own[0])
         better, spread = paired_gain(its_misfit, misfit, np.arange(len(without)))
-        log.info("%s forecasts %.3g ± %.2g nats better than what was found", labels_of(best[0]), better, spread)
+        log.info("%s forecasts %s better than what was found", labels_of(best[0]), nats(better, spread))
         if not clear or better < STANDARD_ERRORS * spread:
             gain, _ = gain_of(own[0], without, its_misfit, of_control)
             return KnownStartSearch(own, True, True, before, mean_error(its_misfit), gain, told)
@@ -157,10 +158,17 @@ def gain_of(
     in_control = float(of_control([]).mean() - of_control(effects).mean())
     least = max(STANDARD_ERRORS * spread, GAIN_SHARE, 2 * in_control)
     log.info(
-        "from known starts %s forecasts %.3g ± %.2g nats better than nothing, and the control %.2g",
-        labels_of(effects), gain, spread, in_control,
+        "from known starts %s forecasts %s better than nothing, and the control %.2g",
+        labels_of(effects), nats(gain, spread), in_control,
     )  # fmt: skip
     return (gain, spread, in_control), bool(gain > least)
+
+
+def nats(gain: float, spread: float) -> str:
+    """A gain with its standard error, as :func:`~idapt_pl.estimation.intervals.paired_gain` has it, in words."""
+    if np.isinf(spread):
+        return f"{gain:.3g} nats (fewer than half of the recordings)"
+    return f"{gain:.3g} ± {spread:.2g} nats"
 
 
 def labels_of(effects: Sequence[Effect]) -> str:

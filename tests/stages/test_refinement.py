@@ -14,6 +14,8 @@ from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
 from idapt_pl.stages.known_start_search import (
     RECORDINGS_GLANCED,
     RECORDINGS_TRIED,
+    KnownStartSearch,
+    gain_of,
     screened,
     search_from_known_starts,
 )
@@ -133,6 +135,15 @@ def test_what_helps_in_the_control_too_makes_up_for_the_sensor(errors):
 
 
 @pytest.mark.slow
+def test_a_gain_of_few_recordings_has_no_error_and_is_not_enough():
+    without, misfit = np.array([9.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.1, 0.1, 0.1])
+    gain, enough = gain_of([BodyMass("body", 2.0)], without, misfit, lambda effects: np.zeros(4))
+    assert gain[0] > 0 and not enough
+    written = KnownStartSearch(([], []), False, False, 1.0, 1.0, gain, ()).to_dict()
+    assert written["gain"]["standard_error"] is None
+    json.loads(json.dumps(written, allow_nan=False))
+
+
 def test_what_another_search_found_is_put_aside_for_what_is_surely_better_and_else_kept(errors, nothing):
     assert search_from_known_starts(CANDIDATES, nothing, nothing).to_dict()["effects"] == []
     wrong, right = JointDamping("bshin", 12.0), BodyMass("torso", 10.0)
