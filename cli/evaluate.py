@@ -94,7 +94,7 @@ def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
         act = deterministic(run.load_policy(path))
         results[name] = {"target": in_target(run, name, act, episodes, seed)}
         if name == "direct transfer":  # the others expect translated images
-            with closing(run.worlds.source(min(episodes, 25))) as env:
+            with closing(run.worlds.image_env(run.plain_source, min(episodes, 25))) as env:
                 results[name]["source"] = evaluate(env, act, episodes, seed).to_dict()
     return results
 

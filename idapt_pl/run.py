@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from idapt_pl.baselines.methods import METHODS, Method
-from idapt_pl.effects import effect_from_dict
+from idapt_pl.effects import Domain, effect_from_dict
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.files import blaming, read_json
@@ -102,6 +102,14 @@ class Run:
             with blaming(path):
                 run.worlds.add_effects([effect_from_dict(e) for e in read_json(path)["effects"]])
         return run
+
+    @property
+    def plain_source(self) -> Domain:
+        """The source that the policy of direct transfer trains in: what is found of its physics is not in it."""
+        looks, task = self.folder / "step_00/looks.json", self.context.worlds.task
+        found = read_json(looks)["effects"] if looks.exists() else []
+        known = known_effects(self.config.effects.known, task)
+        return task.domain("source").with_effects(*known, *map(effect_from_dict, found))
 
     def restore_ledger(self) -> list[str]:
         """Make the ledger say what the run's files hold, if it does not. Returns what was wrong with it.

@@ -19,7 +19,7 @@ from idapt_pl.randomisation import RandomisationSettings
 from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stages.distillation import TeacherSettings
-from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of
+from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of, policy_steps
 from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings
 from idapt_pl.targets import target_name
 from idapt_pl.tasks import SOURCES, TASKS
@@ -177,6 +177,7 @@ class RunConfig:
         made.check_ranges()
         made.check_encoder()
         made.check_recurrence()
+        made.check_oracle()
         return made
 
     @classmethod
@@ -236,6 +237,20 @@ class RunConfig:
                 f"policy.recurrent is {policy['recurrent']}, for policies that SAC trains in the source: set method: "
                 "source, teacher.steps: 0 and policy.memory: 0, as configs/presets/adaptive_rl.yaml does, or "
                 "policy.recurrent: 0"
+            )
+
+    def check_oracle(self) -> None:
+        """The oracle trains for as long as the run's policies do by SAC.
+
+        Raises:
+            ValueError: if that is not at all.
+        """
+        if (self.oracle or self.method == "oracle") and not policy_steps(self.schedule):
+            raise ValueError(
+                "the oracle trains by SAC for as long as the run's policies do, and they do not: "
+                "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy are 0. Train it in a run "
+                "of its own with --config configs/presets/oracle.yaml, which says how long; `python benchmarks/bounds.py` "
+                "trains one on states"
             )
 
     def check_encoder(self) -> None:

@@ -214,6 +214,10 @@ class DomainDistribution:
             domain = part.sample(domain, rng)
         return domain
 
+    def then(self, others: DomainDistribution) -> DomainDistribution:
+        """With others drawn after these; where both draw the same effect it is theirs."""
+        return DomainDistribution((*self.parts, *others.parts))
+
     @property
     def breadth(self) -> int:
         """How many extremes there are to look at."""

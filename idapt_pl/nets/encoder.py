@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from idapt_pl.nets.images import center_crop, height_width, random_crop, stack_channels
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.nets.units import Units, give_in_units, take_in_units
 from idapt_pl.ranges import Range, check_ranges
 
 Pool = Literal["flatten", "keypoints"]
@@ -186,13 +187,22 @@ class PixelStatePredictor(nn.Module):
         """Take mean and spread from data; a component that does not vary keeps spread 1, and so does its rate.
 
         Such a rate is never quite 0. In units of its spread the noise of what is read would be tens of thousands.
+        A net that has a scale already goes on predicting the same states.
         """
+        before, is_new = Units.of(self), not self.mean.any() and bool((self.std == 1).all())
         self.mean.copy_(states.mean(0))
         std = states.std(0)
         varies = std > 1e-6
         for rate, of in self.rates.items():
             varies[rate] &= varies[of]
         self.std.copy_(torch.where(varies, std, torch.ones_like(std)))
+        if not is_new:
+            self._tell_in_units(before, Units.of(self))
+
+    def _tell_in_units(self, before: Units, now: Units) -> None:
+        """Predict the same states, standardised by ``now`` and no longer by ``before``."""
+        shown = (Units(u.mean[self.shown], u.std[self.shown]) for u in (before, now))
+        give_in_units(self.mlp[-1].weight, self.mlp[-1].bias, *shown)
 
 
 class FrameStatePredictor(PixelStatePredictor):
@@ -221,6 +231,13 @@ class FrameStatePredictor(PixelStatePredictor):
         frames = center_crop(images, self.encoder.crop).unflatten(1, (-1, 3))
         each = self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, frames.shape[1]))
         return each[:, -1] + self.motion(each.flatten(1)).float()
+
+    def _tell_in_units(self, before: Units, now: Units) -> None:
+        super()._tell_in_units(before, now)
+        first, last = self.motion[0], self.motion[-1]
+        frames = first.in_features // self.features
+        take_in_units(first.weight, first.bias, before.repeated(frames), now.repeated(frames))
+        give_in_units(last.weight, last.bias, before.of_differences, now.of_differences)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.nets.units import Units, give_in_units, take_in_units
 
 FARTHEST = 10.0
 """Spreads from the mean at which a reading is cut off, as no state is there."""
@@ -116,6 +117,15 @@ class StateFilter(nn.Module):
     def lost(self, readings: Float[Tensor, "n s"], estimates: Float[Tensor, "n s"]) -> Bool[Tensor, " n"]:
         """Where readings are much further from estimates than they were in training."""
         return ((readings - estimates).abs() / self.usual_correction).mean(-1) > LOST
+
+    @torch.no_grad()
+    def tell_in_units(self, before: Units, now: Units) -> None:
+        """Make the same of readings that are standardised by ``now`` and no longer by ``before``."""
+        first, last = self.correction[0], self.correction[-1]
+        take_in_units(self.gru.weight_ih_l0[:, : self.state_dim], self.gru.bias_ih_l0, before, now)
+        take_in_units(first.weight[:, self.hidden :], first.bias, before, now)
+        give_in_units(last.weight, last.bias, before.of_differences, now.of_differences)
+        self.usual_correction *= before.std / now.std
 
     @torch.no_grad()
     def learn_usual_correction(self, corrections: Float[Tensor, "n s"]) -> None:

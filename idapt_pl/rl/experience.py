@@ -47,7 +47,8 @@ class Experience:
         self._state, self._seen = obs["state"], next_seen
         if done.any():
             self.noise.renew(done)
-            self._seen = self.noise(self.policy.remember(obs["pixels"]))
+            begun = self.noise(self.policy.remember(obs["pixels"]))
+            self._seen = {k: rows_from(done, begun[k], seen) for k, seen in next_seen.items()}
         self._return += rewards
         self._finished.extend(self._return[done])
         self._return[done] = 0.0
@@ -65,3 +66,8 @@ class Experience:
     def recent_return(self) -> float:
         """Mean return of the last 20 finished episodes; of the running ones before any has finished."""
         return float(np.mean(self._finished or self._return))
+
+
+def rows_from(which: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """Rows of ``new`` where ``which``, bool (n,), says so, and else of ``old``."""
+    return np.where(which.reshape(-1, *[1] * (old.ndim - 1)), new, old)

@@ -18,6 +18,8 @@ from gymnasium.vector import VectorEnv
 from datamodules import ReplayBuffer, ReplayDataModule
 from idapt_pl.envs import StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
+from idapt_pl.nets.devices import on_device
+from idapt_pl.nets.units import Units, take_in_units
 from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
@@ -196,7 +198,7 @@ class Distillation:
             supervised = policy.supervised
             images = round(policy.hparams.estimator_updates * n) if supervised else 0
             experience = DaggerExperience(
-                make_env(device), policy, teacher.to(device), seed, fading, images > 0, t.strays
+                make_env(device), policy, on_device(teacher, device), seed, fading, images > 0, t.strays
             )
             return ReplayDataModule(
                 experience,
@@ -304,12 +306,10 @@ def copy_critics(teacher: StateSAC, policy: AsymmetricSAC) -> None:
 
     The teacher's critics see standardised states, the policy's the states: the scale goes into the first layers.
     """
-    scale = teacher.actor.encoder
+    theirs, plain = Units.of(teacher.actor.encoder), Units(torch.zeros(()), torch.ones(()))
     for name in ("critic", "critic_target"):
         critic = getattr(policy, name)
         critic.load_state_dict(getattr(teacher, name).state_dict())
         for net in critic.nets:
-            scaled = net[0].weight[:, : len(scale.mean)]
-            scaled /= scale.std
-            net[0].bias -= scaled @ scale.mean
+            take_in_units(net[0].weight[:, : len(theirs.mean)], net[0].bias, theirs, plain)
     policy.log_alpha.copy_(teacher.log_alpha)

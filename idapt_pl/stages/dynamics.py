@@ -20,6 +20,7 @@ from datamodules.pieces import held_out, pieces
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
+from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.grounded_rollout import garat_rollout
 from idapt_pl.rl.policy import Acting, Policy
@@ -63,7 +64,7 @@ def fit_F(
 
     def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
         n = c.batches.garat_envs
-        env, policy = c.worlds.grounded(n, G.to(device)), Acting(pi.to(device))
+        env, policy = c.worlds.grounded(n, on_device(G, device)), Acting(on_device(pi, device))
         length, exploring = c.batches.garat_rollout // n, round(c.batches.garat_exploring * n)
         roll = garat_rollout(env, policy, F, length, seed, explore(seed, n), exploring)
         transitions = target_transitions(target, F.encode, c.worlds.frame_stack, hold_out)

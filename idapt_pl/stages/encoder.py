@@ -10,6 +10,7 @@ from pathlib import Path
 from datamodules import Trajectories
 from datamodules.unpaired import read_all
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.nets.units import Units, take_in_units
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.state_predictor import fit_P_S
 
@@ -41,10 +42,18 @@ def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTran
 def fit_encoder_on(
     c: StageContext, step: int, name: str, labelled: Sequence[Path], batches: int, pi: AsymmetricSAC
 ) -> AsymmetricSAC:
-    """π with its encoder regressed on the states of labelled, target-like images, in any light."""
+    """π with its encoder regressed on the states of labelled, target-like images, in any light.
+
+    What reads the encoder (a filter, the head) makes the same of readings in the encoder's new units.
+    """
     pi = copy.deepcopy(pi)
+    before, head = Units.of(pi.actor.encoder), pi.actor.head[0]
     estimator = c.make.state_predictor(**c.worlds.dimensions, relight=pi.hparams.relight)
     estimator.P_S.load_state_dict(pi.actor.encoder.state_dict())
     estimator = fit_P_S(c, step, labelled, batches, estimator, name)
     pi.actor.encoder.load_state_dict(estimator.P_S.state_dict())
+    now = Units.of(pi.actor.encoder)
+    take_in_units(head.weight, head.bias, before, now)
+    if pi.filter is not None:
+        pi.filter.tell_in_units(before, now)
     return pi

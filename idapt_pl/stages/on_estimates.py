@@ -23,6 +23,7 @@ from datamodules.stretches import ReadEpisode, StretchDataModule
 from datamodules.unpaired import read_all
 from idapt_pl.envs import GroundedEnv
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, FilterTraining, StateSAC, VisualTransformation
+from idapt_pl.nets.units import Units, take_in_units
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
@@ -158,6 +159,4 @@ def take_over(teacher: StateSAC, policy: AsymmetricSAC) -> None:
     copy_critics(teacher, policy)
     head, mine, theirs = policy.actor.head, policy.actor.encoder, teacher.actor.encoder
     head.load_state_dict(teacher.actor.head.state_dict())
-    weight = head[0].weight
-    head[0].bias += weight @ ((mine.mean - theirs.mean) / theirs.std)
-    weight *= mine.std / theirs.std
+    take_in_units(head[0].weight, head[0].bias, Units.of(theirs), Units.of(mine))

@@ -18,6 +18,7 @@ from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.modules.recurrent_policy import REMEMBERED
+from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.policy import deterministic
@@ -76,7 +77,8 @@ def fit_grounded_policy(
 
     def make_env(device: torch.device) -> VectorEnv:
         source = c.worlds.training_source(c.batches.num_envs)
-        return c.worlds.grounded_over(source, G.to(device), F.to(device) if F is not None else None)
+        there = on_device(F, device) if F is not None else None
+        return c.worlds.grounded_over(source, on_device(G, device), there)
 
     initial = pi
     if c.teacher.settings.rehearse:

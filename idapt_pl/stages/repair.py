@@ -65,9 +65,8 @@ class SourceRepair:
             found, estimates = effects_from_replays(*sought), []
         if found and self.randomised:
             told = self.context.stages.folder(k) / "known_start_search.json"
-            worlds.distribution = found_intervals(
-                found, estimates, read_json(told)["parameters"] if told.exists() else []
-            )
+            refined = read_json(told)["parameters"] if told.exists() else []
+            worlds.distribution = worlds.distribution.then(found_intervals(found, estimates, refined))
         return self._add(k, found)
 
     def _found_by_positions(

@@ -215,9 +215,7 @@ def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     (copied / "step_02/effects.json").write_text(json.dumps(BY_WINDOWS.to_dict()))
     path.write_text(json.dumps(searched))
     text = report(copied).text
-    assert (
-        "best with what the table has: their error falls from 0.35 to 0.33 (by 0.02 nats, ± 0.015, one" in text
-    )
+    assert "best with what the table has: their error falls from 0.35 to 0.33 (by 0.02 nats, ± 0.015, one" in text
     assert "mass of body pole mass 195 20 %" in text
     assert "That is not enough, and nothing was added." in text and "body_mass(pole) 150 0.34" in text
     path.write_text(json.dumps(searched | {"gain": {"mean": 0.02, "standard_error": None}}))
