@@ -152,7 +152,7 @@ class RunConfig:
             type=bool | None,
             default=None,
             help="run what does not depend on each other (the source policy and G, an evaluation and the next step) in "
-            "two processes, with the same results; default where there are two cores and no GPU",
+            "two processes, with the same results where --threads is 1; default where there are two cores and no GPU",
         )
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
@@ -248,9 +248,9 @@ class RunConfig:
         if (self.oracle or self.method == "oracle") and not policy_steps(self.schedule):
             raise ValueError(
                 "the oracle trains by SAC for as long as the run's policies do, and they do not: "
-                "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy are 0. Train it in a run "
-                "of its own with --config configs/presets/oracle.yaml, which says how long; `python benchmarks/bounds.py` "
-                "trains one on states"
+                "schedule.source_policy, schedule.pretrain.policy and schedule.finetune.policy are 0. Train it in a "
+                "run of its own with --config configs/presets/oracle.yaml, which says how long; `python "
+                "benchmarks/bounds.py` trains one on states"
             )
 
     def check_encoder(self) -> None:

@@ -27,7 +27,7 @@ class ActionTransformation(ManualModule):
         action_high: upper action bounds; taken from the model.
         hidden: of F, its value function and D.
         smoothing: β.
-        residual_scale: largest |δ| as a multiple of half the action range; 2 reaches every action from any.
+        residual_scale: unit of δ, as a multiple of half the action range; nothing but the action bounds limits δ.
         deterministic: F acts with its mean when the policy trains (GARAT); else it samples (the authors' code).
         lr: Adam, agent; decays linearly to zero over a stage.
         lr_discriminator: Adam, D.

@@ -85,7 +85,7 @@ class StageLengths:
     Args:
         state_predictor: batches for P^S.
         visual: batches for G and P^T.
-        dynamics: GARAT rollouts for F.
+        dynamics: GARAT rollouts for F; of ``finetune`` alone, as step 0 learns no F.
         policy: environment steps for the policy.
         estimator: batches for the policy's encoder before the policy trains, regressed on the states of D^S as G shows
             it; for ``policy.encoder: supervised``. 0 leaves the encoder to the policy's own training.

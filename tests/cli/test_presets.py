@@ -254,3 +254,12 @@ def test_algorithm_1_starts_with_a_preset(task, name, tmp_path):
     overrides = [f"--{k}={v}" for k, v in small.items()]
     assert main(["fit", "--config", str(quick), "--config", str(preset(name)), *overrides]) == 0
     assert (tmp_path / "run/step_01/dynamics/final.ckpt").exists()
+
+
+def test_an_oracle_that_would_not_train_is_refused_and_its_preset_says_how_long_it_does(tmp_path):
+    teachers = QUICK.with_stem("cheetah_quick")
+    with pytest.raises(ValueError, match="the oracle trains by SAC for as long as the run's policies do"):
+        GroundingCLI(["--config", str(teachers), "--oracle", "true", "--run_dir", str(tmp_path)]).run()
+    run, _ = parsed(teachers, preset("oracle"))
+    assert run.method == "oracle" and run.schedule.source_policy == 10_000 and not run.teacher.steps
+    assert parsed(QUICK)[0].schedule.source_policy, "the pendulum's policies do train by SAC"

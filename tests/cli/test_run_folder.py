@@ -14,6 +14,7 @@ from conftest import ROOT
 from cli.main import main
 from cli.provenance import claim
 from cli.run_folder import resumed_in_place
+from idapt_pl.files import write_json
 from idapt_pl.run import Run
 
 
@@ -122,3 +123,17 @@ def test_evaluating_beside_a_fit_loses_no_entry(moved, capsys):
     entries = json.loads((moved / "ledger.json").read_text())["entries"]
     assert (2, "evaluation") in [(e["step"], e["purpose"]) for e in entries]
     assert sum("1 episodes, seed 12345" in e["purpose"] for e in entries) == 4
+
+
+def test_the_plain_source_lacks_what_was_found_of_its_physics_and_has_its_looks(moved):
+    """``idapt evaluate`` measures there what direct transfer transfers."""
+    mass = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 150.0}}
+    light = {"effect": "light", "target": "headlight", "parameters": {"diffuse": [0.1, 0.1, 0.1]}}
+    for name, effect in (("effects", mass), ("looks", light)):
+        told = {"step": 0, "stage": name, "wall_s": 1.0, "effects": [effect]}
+        write_json(moved / f"step_00/{name}.json", told, checked=True)
+    run = Run.open(moved)
+    assert [e.name for e in run.worlds.added_effects] == ["light", "body_mass"]
+    assert [e.name for e in run.plain_source.effects] == ["camera_pose", "body_mass", "light"], "the task's, and looks"
+    plain, repaired = (d.compile().body("pole").mass[0] for d in (run.plain_source, run.worlds.source_domain))
+    assert (plain, repaired) == (pytest.approx(4.895), 150.0)
