@@ -166,6 +166,7 @@ class Payload(Effect):
             if self.mass:
                 load = body.add_body(pos=(self.x, self.y, self.z))
                 load.explicitinertial, load.mass, load.inertia = True, self.mass, [1e-9 * self.mass] * 3
+                load.ipos = np.zeros(3)  # without a place, `to_xml` writes no mass
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:

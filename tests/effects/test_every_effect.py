@@ -12,6 +12,7 @@ import pytest
 
 import idapt_pl
 from idapt_pl.diagnosis.candidates import all_candidates
+from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.effects.base import EFFECTS, Effect
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointDamping
@@ -217,3 +218,26 @@ def test_where_a_search_starts_says_nothing_of_the_answer(name, nominal, typical
     assert len(ratios) == 1
     logarithms = np.log(ratios.pop())
     assert len(logarithms) and sorted(logarithms) == pytest.approx(sorted(-logarithms))
+
+
+def arrays(model):
+    """All numbers of a compiled model but those that only say where other things lie."""
+    skipped = ("adr", "num", "id", "simple", "sameframe", "plugin", "_bufs")
+    names = (n for n in dir(model) if not n.startswith("_") and not n.endswith(skipped))
+    found = {n: v for n in names if isinstance(v := getattr(model, n), np.ndarray) and v.dtype.kind == "f"}
+    return found | {
+        f"opt.{n}": np.asarray(getattr(model.opt, n)) for n in ("timestep", "gravity", "density", "viscosity")
+    }
+
+
+@pytest.mark.parametrize("kind", SEARCHED, ids=lambda k: k.name)
+def test_what_an_effect_does_to_a_model_survives_being_written(kind, nominal, typical, tmp_path):
+    """``patched.xml`` is what was fitted: a load of which MuJoCo writes no mass would be lost."""
+    for c in kind.candidates(nominal, typical):
+        effect = c.effect(c.starts[-1] if c.starts else np.array(c.nominal) + 0.3 * np.array(c.scale))
+        spec = mujoco.MjSpec.from_string(REFERENCE)
+        effect.apply(spec)
+        written = repair_model(mujoco.MjSpec.from_string(REFERENCE), (effect,), tmp_path).patched
+        loaded = arrays(mujoco.MjModel.from_xml_string(written))
+        for name, value in arrays(spec.compile()).items():
+            np.testing.assert_allclose(loaded[name], value, rtol=1e-4, atol=1e-7, err_msg=f"{effect}: {name}")
