@@ -56,14 +56,15 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     """
     text = parser.dump(config, skip_none=False)
     path, kept, asked = run_dir / "config.yaml", read_kept_config(run_dir), yaml.safe_load(text)
-    if kept is not None:
+    begun = any(run_dir.glob("step_*"))  # else it was refused before anything was done, and may be corrected
+    if kept is not None and begun:
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
         if different := changed_keys(filled(without_retired(kept), defaults), asked):
             raise ValueError(
                 f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
                 f"Choose another --run_dir, or resume with --config {path}."
             )
-    first = read_run_json(run_dir)
+    first = read_run_json(run_dir) if begun else {}
     write_bytes(path, text.encode())
     now = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,14 @@ ACTIONS = "actions.csv"
 
 
 def read_episode_folder(folder: Path) -> Episode:
-    """An episode: pictures in the order of their names, T+1 of them, and ``actions.csv`` with T rows.
+    """An episode: pictures in the order of their names (2.png before 10.png), T+1 of them, and ``actions.csv``, T rows.
 
     Raises:
         TrajectoryFileError: naming the folder or file, what was expected and what came.
     """
     actions = read_action_table(folder / ACTIONS)
     try:
-        files = list_images(folder)
+        files = sorted(list_images(folder), key=numbers_by_size)
         frames = [read_image(file) for file in files]
     except ValueError as error:
         raise TrajectoryFileError(str(error)) from None
@@ -55,6 +56,11 @@ def read_action_table(path: Path) -> np.ndarray:
         if len(row) != len(rows[0]) or not all(map(is_finite_number, row)):
             raise TrajectoryFileError(f"{path}: action {i} is {','.join(row)}; expected {len(rows[0])} finite numbers")
     return np.array(rows, dtype=np.float32)
+
+
+def numbers_by_size(path: Path) -> list[tuple[bool, int, str]]:
+    """A key to sort by names, in which numbers come in their order, whether or not they have leading zeros."""
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", str(path))]
 
 
 def is_finite_number(text: str) -> bool:

@@ -22,6 +22,10 @@ def send(action: np.ndarray) -> None:
     raise SystemExit("play.py: fill in send() for your robot")
 
 
+def stop() -> None:
+    """Bring the robot to rest: called at the end, on Ctrl-C and on errors. Fill this in if its last command lasts."""
+
+
 class PlayedPolicy:
     """Images in, actions out. `limit` is how much an action may change in a control step, as a share of its range."""
 
@@ -53,13 +57,16 @@ class PlayedPolicy:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """The action for a new image; call it once in each control step."""
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            raise ValueError(f"an image is {image.dtype} {image.shape}; expected uint8 (height, width, 3), RGB")
         frame = self.square(image)
         stack = self.frames or [frame] * self.about["frames"]  # the first image fills it
         self.frames = [*stack[1:], frame]
         inputs = {"pixels": np.stack(self.frames)[None], "memory": self.memory}
         known = {i.name for i in self.session.get_inputs()}
         action, self.memory = self.session.run(None, {k: v for k, v in inputs.items() if k in known})
-        action = np.nan_to_num(action[0], nan=0.0)
+        instead = (self.low + self.high) / 2 if self.last is None else self.last
+        action = np.where(np.isfinite(action[0]), action[0], instead)
         if self.last is not None:
             action = np.clip(action, self.last - self.change, self.last + self.change)
         self.last = np.clip(action, self.low, self.high)
@@ -80,12 +87,22 @@ def main() -> None:
     if options.about:
         print(json.dumps(policy.about, indent=2))
         return
+    try:
+        play(policy, period, max(1, round(options.seconds / period)), options.dry_run)
+    except KeyboardInterrupt:
+        raise SystemExit("stopped") from None
+    finally:
+        if not options.dry_run:
+            stop()
+
+
+def play(policy: PlayedPolicy, period: float, steps: int, dry_run: bool) -> None:
+    """So many control steps at a fixed rate."""
     rng, late, begin = np.random.default_rng(0), 0, time.monotonic()
-    steps = max(1, round(options.seconds / period))
     for step in range(steps):
-        image = rng.integers(0, 256, (120, 160, 3), np.uint8) if options.dry_run else get_image()
+        image = rng.integers(0, 256, (120, 160, 3), np.uint8) if dry_run else get_image()
         action = policy(image)
-        print(f"{step:6d}  {np.round(action, 4).tolist()}") if options.dry_run else send(action)
+        print(f"{step:6d}  {np.round(action, 4).tolist()}") if dry_run else send(action)
         left = begin + (step + 1) * period - time.monotonic()
         late += left < 0
         time.sleep(max(0.0, left))

@@ -35,6 +35,7 @@ class RobotSettings:
         patience: seconds that a step, and a reset that is not attended, may take.
         success: whether ``info`` says ``success`` or ``is_success``, for tasks whose metric that is.
         asked: ask a person how an episode went, in place of rewards and ``info``.
+        rewarded: whether rewards are read.
     """
 
     name: str
@@ -46,6 +47,7 @@ class RobotSettings:
     patience: float = 120.0
     success: bool = False
     asked: bool = False
+    rewarded: bool = True
 
 
 class RobotEnv(gymnasium.vector.VectorEnv):
@@ -75,6 +77,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         self.settings, self.num_envs = settings, 1
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self._patient, self._fit = Patient(), Fitted(image_size, image_size, "crop")
+        self._hangs = False
         self._robot = self._ask("be made", settings.patience, make)
         check_robot(settings, self._robot)
         self._shape: tuple[int, ...] | None = None
@@ -125,7 +128,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
             observation, gained, over, cut, infos = self._ask(
                 "take a step", self.settings.patience, self._robot.step, action
             )
-            reward += float(gained)
+            reward += self._reward(gained)
             if over or cut:
                 break
         self._elapsed += 1
@@ -153,6 +156,22 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         told = ask_person(self.settings.name, self.settings.success) if ended else 0.0
         return told, {"success": np.array([told > 0])} if self.settings.success else {}
 
+    def _reward(self, gained: Any) -> float:
+        """A reward as a number; what nobody reads may be anything.
+
+        Raises:
+            TargetFailed: if it is measured and no finite number.
+        """
+        if not self.settings.rewarded:
+            return 0.0
+        try:
+            reward = float(np.asarray(gained, float).item())
+        except (TypeError, ValueError):
+            reward = np.nan
+        if not np.isfinite(reward):
+            raise TargetFailed(f"target {self.settings.name} gives the reward {gained!r}; expected a finite number")
+        return reward
+
     def _raise_what_stopped_it(self) -> None:
         stopped, self._stopped = self._stopped, None
         if stopped is not None:
@@ -161,7 +180,8 @@ class RobotEnv(gymnasium.vector.VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         if not isinstance(self._stopped, TargetFailed):
             self._raise_what_stopped_it()  # a person did
-        self._ask("be closed", self.settings.patience, self._robot.close)
+        if not self._hangs:  # or it would be waited for again
+            self._ask("be closed", self.settings.patience, self._robot.close)
 
     def _ask(self, what: str, seconds: float | None, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call the robot; whatever goes wrong is said to be its."""
@@ -170,6 +190,7 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         except UsersError:
             raise
         except Exception as error:
+            self._hangs |= isinstance(error, TimeoutError)
             said = str(error) or type(error).__name__
             raise TargetFailed(f"target {self.settings.name} could not {what}: {said}") from error
 

@@ -73,6 +73,7 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
         patience=said.get("patience", 120.0),
         success=task.metric == "success",
         asked=said.get("measure") == "ask",
+        rewarded=said.get("measure", False) is True,
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
     simulated = said["env"].startswith(GYMNASIUMS)

@@ -14,6 +14,9 @@ from datamodules.trajectories import TrajectoryFileError, count_steps
 from idapt_pl.envs import ActionMap
 from idapt_pl.targets.target import Look, Target
 
+BEYOND = 0.05
+"""Share of its range by which a recorded action may lie beyond it."""
+
 SAME_RATE = 0.01
 """Share by which the period of a recording may differ from the source's."""
 
@@ -91,9 +94,26 @@ class RecordedTarget(Target):
                 raise TrajectoryFileError(
                     f"{path}: episode {i} has actions of {episode.actions.shape[1]} numbers, the source of {nu}"
                 )
-            frames = np.stack([fit(frame) for frame in pixels])
-            made.append(Episode(self.actions.back(episode.actions), {"pixels": frames}))
+            frames, actions = np.stack([fit(frame) for frame in pixels]), self.actions.back(episode.actions)
+            self.check_bounds(f"{path}: episode {i}", actions)
+            made.append(Episode(actions, {"pixels": frames}))
         return made
+
+    def check_bounds(self, what: str, actions: np.ndarray) -> None:
+        """Recorded actions must be what the source's actuators can be told.
+
+        Raises:
+            TrajectoryFileError: if they are far beyond.
+        """
+        low, high = np.asarray(self.actions.low), np.asarray(self.actions.high)
+        beyond = np.maximum(low - actions, actions - high) > BEYOND * (high - low)
+        if beyond.any():
+            step, j = np.argwhere(beyond)[0]
+            raise TrajectoryFileError(
+                f"{what}: action {j} of step {step} is {actions[step, j]:g} in the source's units, whose range is "
+                f"{low[j]:g} to {high[j]:g}. Are units or order others (target.actions)? If the robot cut it off, "
+                "record what it played"
+            )
 
 
 def read_any(path: Path, period: float) -> Trajectories:
@@ -105,6 +125,9 @@ def read_any(path: Path, period: float) -> Trajectories:
     if not path.is_dir():
         return read_trajectories(path)
     folders = [path] if (path / ACTIONS).exists() else sorted(f.parent for f in path.glob(f"*/{ACTIONS}"))
+    inside = [] if folders == [path] else sorted(p for p in path.iterdir() if p.is_dir() and p.name[0] != ".")
+    if folders and (without := [p for p in inside if p not in folders]):
+        raise TrajectoryFileError(f"{without[0]}: has no {ACTIONS}, as the other episodes of {path} have")
     if not folders:
         raise TrajectoryFileError(f"{path}: holds no episodes; expected {ACTIONS} beside pictures, or folders of both")
     return Trajectories(tuple(map(read_episode_folder, folders)), period, str(path))

@@ -27,6 +27,9 @@ PUSHED_SECONDS, PUSHED_STEPS = 0.4, 6
 ALIKE, UNLIKE = 0.6, -0.6
 """Cosines between two directions that are taken to be the same, and opposite."""
 
+LITTLE = 3.0
+"""Pixels that things must move by, over all cells, for a direction to tell."""
+
 FASTER = 4.0
 """Factor by which things may move faster or slower than in the source before it is said."""
 
@@ -140,7 +143,9 @@ def crossed(a: np.ndarray, b: np.ndarray, both: Sequence[int], names: Sequence[s
     reversed_ = [i for i in both if alike(i, i) < UNLIKE]
     explaining = [how for how, there in turned.items() if all(cosine(a[i], there[i]) > ALIKE for i in both)]
     if len(both) > 1 and explaining and any(alike(i, i) < ALIKE for i in both):
-        return [f"everything moves as if the target's image were {' or '.join(explaining)}"]
+        alone = [names[i] for i in reversed_] if len(reversed_) < len(both) else []
+        instead = f"; or {' and '.join(alone)} moves the other way (target.actions.scale: -1 there)" if alone else ""
+        return [f"everything moves as if the target's image were {' or '.join(explaining)}{instead}"]
     found = []
     swapped = [
         (i, j) for i in both for j in both
@@ -154,6 +159,8 @@ def crossed(a: np.ndarray, b: np.ndarray, both: Sequence[int], names: Sequence[s
             found.append(f"{names[i]} moves things {ratio:.2g} times as far as in the source: are units the same?")
         elif i in reversed_:
             found.append(f"{names[i]} moves the other way: see the sign of target.actions.scale, and the camera")
+        elif alike(i, i) < ALIKE and min(np.linalg.norm(a[i]), np.linalg.norm(b[i])) < LITTLE:
+            found.append(f"{names[i]} moves too little to compare where to: push further, with --share 1")
         elif alike(i, i) < ALIKE:
             found.append(f"{names[i]} moves things in another direction than in the source: are the cameras alike?")
     return found

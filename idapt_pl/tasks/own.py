@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import traceback
 from typing import Any
 
 from datamodules.users_error import UsersError
+from idapt_pl.tasks.own_check import check_task
 from idapt_pl.tasks.task import Task
+from idapt_pl.tasks.users_code import whole
 
 SOURCES = "gymnasium:ID, dm_control:DOMAIN/TASK, or MODULE:NAME for a Task of your own"
 """What a task's name can be besides the names there are."""
@@ -35,8 +36,9 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         from idapt_pl.tasks.dm_control_task import DMControlTask  # 2 s to import
 
         return DMControlTask(rest, **options)
-    made = import_from(name, "task")
-    task = call_users(made, f"task {name}", options) if callable(made) else made
+    made, repeat = import_from(name, "task"), options.get("action_repeat")
+    own = {k: v for k, v in options.items() if k != "action_repeat"}  # which every task has
+    task = call_users(made, f"task {name}", own) if callable(made) else made
     if not isinstance(task, Task):
         raise ValueError(
             f"task {name} is {type(task).__name__}, not an idapt_pl.tasks.Task. Give a subclass of it, or a function "
@@ -44,6 +46,9 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         )
     if not hasattr(task, "name"):
         task.name = name
+    if repeat is not None:
+        task.action_repeat = repeat
+    check_task(name, task)
     return task
 
 
@@ -91,8 +96,3 @@ def call_users(made: Any, what: str, options: dict[str, Any]) -> Any:
         return made(**options)
     except Exception:
         raise UsersError(whole(f"{what} fails")) from None
-
-
-def whole(message: str) -> str:
-    """A message with the error that is being handled, as Python shows it."""
-    return f"{message}:\n{traceback.format_exc().rstrip()}"

@@ -118,5 +118,6 @@ class Task(ABC):
         """
         domains = self.domains()
         if name not in domains:
-            raise ValueError(f"task {self.name!r} has no domain {name!r}; it has: {', '.join(domains)}")
+            cure = f". For an environment of your own give target: {{env: {name!r}}}" if ":" in name else ""
+            raise ValueError(f"task {self.name!r} has no domain {name!r}; it has: {', '.join(domains)}{cure}")
         return domains[name]

@@ -68,6 +68,20 @@ def moves(motion, seen=(True, True), start=None):
     return TrialMoves(blob(16, 16) if start is None else start, shown, other, np.array(motion, float), 24)
 
 
+def test_one_reversed_motor_that_looks_like_a_mirror_is_named_beside_it():
+    """A camera that is turned in its place would make the policy go the wrong way."""
+    sideways, up = np.zeros((2, CELLS, CELLS, 2))
+    sideways[:, 1:3, 0], up[1:3, :, 1] = 5.0, 5.0
+    (said,) = crossed(np.array([sideways, up]), np.array([-sideways, up]), (0, 1), NAMES)
+    assert "mirrored left to right" in said and f"; or {NAMES[0]} moves the other way" in said
+
+
+def test_what_moves_too_little_to_be_compared_is_said_to():
+    little = np.random.default_rng(0).normal(size=SHOULDER.shape) * 0.2
+    (said,) = crossed(np.array([0.3 * SHOULDER, ELBOW]), np.array([little, ELBOW]), (0, 1), NAMES)
+    assert said == "shoulder moves too little to compare where to: push further, with --share 1"
+
+
 def test_what_cannot_be_seen_is_said():
     still, flat = moves([SHOULDER, 0 * ELBOW], (True, False)), np.full((32, 32, 3), 7, np.uint8)
     assert suspicions(moves(SOURCE), moves(SOURCE), NAMES) == [] == suspicions(moves(SOURCE), None, NAMES)

@@ -51,6 +51,15 @@ def test_a_folder_of_pictures_and_a_table_is_an_episode(tmp_path, header):
     np.testing.assert_allclose(read.actions, episode.actions, atol=1e-6)
 
 
+def test_pictures_are_in_the_order_of_their_numbers_with_or_without_leading_zeros(tmp_path):
+    (episode,) = episodes(1)
+    folder = as_folder(tmp_path / "a", episode)
+    for t in range(21):
+        (folder / f"{t:05d}.png").rename(folder / f"{t}.png")
+    read = read_episode_folder(folder)
+    np.testing.assert_array_equal(read.observations["pixels"], episode.observations["pixels"])
+
+
 def test_recordings_are_images_of_the_runs_size_and_the_sources_actions_and_nothing_else(tmp_path):
     write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes()), 0.04, ""))
     for i, episode in enumerate(episodes()):
@@ -83,6 +92,13 @@ def broken(tmp_path, what):
         write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes(1, nu=2)), 0.04, ""))
         return tmp_path / "a.h5"
     folder = as_folder(tmp_path / "b", episode)
+    if what == "one without a table":
+        for name in ("first", "second"):
+            as_folder(tmp_path / "many" / name, episode)
+        (tmp_path / "many/second/actions.csv").unlink()
+        return tmp_path / "many"
+    if what == "other units":
+        (folder / "actions.csv").write_text("0.1\n0.2\n400\n0.3\n")
     if what == "picture missing":
         (folder / "00002.png").unlink()
     if what == "picture cut":
@@ -113,6 +129,8 @@ def broken(tmp_path, what):
         ("ragged", "action 2 is 0.2,3; expected 1 finite numbers"),
         ("no table", "holds no episodes"),
         ("empty table", "has no actions"),
+        ("one without a table", r"second: has no actions\.csv, as the other episodes of"),
+        ("other units", "action 0 of step 2 is 400 in the source's units, whose range is -3 to 3"),
     ],
 )
 def test_recordings_that_do_not_suit_are_named(tmp_path, what, message):

@@ -4,6 +4,7 @@ import json
 from contextlib import closing
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 import yaml
@@ -11,6 +12,8 @@ from conftest import tiny_config
 
 from cli.main import main
 from datamodules import read_trajectories
+from idapt_pl.envs import TargetFailed
+from idapt_pl.envs.robot_env import RobotEnv, RobotSettings
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.targets import Look, OtherTaskTarget, RobotTarget, make_target, target_name
 from idapt_pl.tasks import make_task
@@ -312,6 +315,40 @@ def test_looking_for_a_robot_neither_makes_nor_moves_it():
     simulation = make_target({"env": "gymnasium:CartPole-v1"}, make_task(SOURCE))
     with pytest.raises(RuntimeError, match="could not be made: made"):
         replace(simulation, make=boom).look_for(LOOK)
+
+
+@pytest.mark.usefixtures("lab")
+def test_a_config_that_was_refused_before_anything_was_done_may_be_corrected(tmp_path, capsys):
+    args = ["--run_dir", str(tmp_path / "run")]
+    assert main(["fit", "--config", str(written(tmp_path, env="my_lab:CartPole", pixels="front")), *args]) == 1
+    assert "holds a run with another config" not in capsys.readouterr().err
+    assert main(["fit", "--config", str(written(tmp_path, env="my_lab:Nope")), *args]) == 1
+    told = capsys.readouterr().err
+    assert "my_lab has no 'Nope'" in told and "another config" not in told
+
+
+def test_rewards_that_nobody_reads_may_be_anything_and_measured_ones_are_numbers():
+    class Odd(gymnasium.Env):
+        action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
+        observation_space = gymnasium.spaces.Box(0, 255, (20, 20, 3), np.uint8)
+
+        def reset(self, *, seed=None, options=None):
+            return self.observation_space.sample(), {}
+
+        def step(self, action):
+            return self.observation_space.sample(), self.reward, False, False, {}
+
+    fine, wrong = ((None, False), (np.nan, False), (np.array([2.0]), True)), ((None, True), (np.nan, True))
+    for reward, measured in (*fine, *wrong):
+        robot = RobotEnv(Odd, RobotSettings("odd", 10, 0.1, rewarded=measured), 16, 2)
+        robot._robot.reward = reward
+        robot.reset()
+        if (reward, measured) in wrong:
+            with pytest.raises(TargetFailed, match=r"gives the reward .*; expected a finite number"):
+                robot.step(np.zeros((1, 1)))
+        else:
+            assert robot.step(np.zeros((1, 1)))[1] == (2.0 if measured else 0.0)
+        robot.close()
 
 
 @pytest.mark.usefixtures("lab")

@@ -43,6 +43,36 @@ class Arm(Reach):
         return -abs(float(data.qpos[0]) - self.goal), False
 
 
+class Wrong(Arm):
+    def __init__(self, how):
+        super().__init__()
+        self.how = how
+        if how == "no steps":
+            self.frame_skip = 0
+
+    def base(self):
+        spec = super().base()
+        if self.how == "a path":
+            return "arm.urdf"
+        if self.how == "no camera":
+            spec.camera("view").name = "front"
+        if self.how == "no range":
+            spec.actuators[0].ctrllimited = 0
+        return spec
+
+    def reset(self, model, data, rng):
+        data.qpos[:] = [1, 2, 3] if self.how == "start" else 0.1
+
+    def state(self, model, data):
+        found = super().state(model, data)
+        return {"square": np.ones((2, 3)), "nan": found * np.nan}.get(self.how, found)
+
+    def outcome(self, model, data, action):
+        made = super().outcome(model, data, action)
+        wrong = {"alone": 1.0, "array": (np.ones(2), False), "no number": (np.nan, False), "why": (1.0, "fallen")}
+        return wrong.get(self.how, made)
+
+
 def seven():
     return 7
 
@@ -262,6 +292,30 @@ def test_a_users_own_arm_from_a_urdf():
             assert reward[0] == pytest.approx(-abs(obs["state"][0, 0] - 0.5), abs=1e-6)
             ends.append(obs["state"][0, 0])
     assert ends[0] > 1.2 * ends[1] > 0
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ("no steps", "frame_skip is 0; expected a whole number, at least 1"),
+        ("a path", r"base\(\) gives str, expected a mujoco\.MjSpec"),
+        ("no camera", "no camera 'view', through which it is seen; it has: front"),
+        ("no range", "actuators without a ctrlrange: "),
+        ("start", r"(?s)reset fails:.*Traceback.*my_arm\.py.*could not broadcast"),
+        ("square", r"(?s)state\(\) after a reset is .*expected finite numbers in one row"),
+        ("nan", r"(?s)state\(\) after a reset is .*nan.*expected finite numbers in one row"),
+        ("alone", r"outcome\(\) gives 1\.0; expected \(reward, over\)"),
+        ("array", r"outcome\(\)'s reward is array.*expected a finite number"),
+        ("no number", r"outcome\(\)'s reward is nan; expected a finite number"),
+        ("why", r"outcome\(\)'s second value is 'fallen'; expected True or False"),
+    ],
+)
+def test_a_users_task_is_tried_before_anything_else_is(how, message):
+    """A robot is driven before the source is, so what is wrong with it must be found where the task is made."""
+    with pytest.raises(ValueError, match=message):
+        make_task("my_arm:Wrong", {"how": how})
+    assert make_task("my_arm:Wrong", {"how": "nothing", "action_repeat": 3}).action_repeat == 3
 
 
 @pytest.mark.usefixtures("own")
