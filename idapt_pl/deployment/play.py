@@ -88,7 +88,7 @@ def main() -> None:
         print(json.dumps(policy.about, indent=2))
         return
     try:
-        play(policy, period, max(1, round(options.seconds / period)), options.dry_run)
+        play_steps(policy, period, max(1, round(options.seconds / period)), options.dry_run)
     except KeyboardInterrupt:
         raise SystemExit("stopped") from None
     finally:
@@ -96,7 +96,7 @@ def main() -> None:
             stop()
 
 
-def play(policy: PlayedPolicy, period: float, steps: int, dry_run: bool) -> None:
+def play_steps(policy: PlayedPolicy, period: float, steps: int, dry_run: bool) -> None:
     """So many control steps at a fixed rate."""
     rng, late, begin = np.random.default_rng(0), 0, time.monotonic()
     for step in range(steps):

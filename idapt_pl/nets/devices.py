@@ -7,10 +7,10 @@ from typing import TypeVar
 
 import torch
 
-Module = TypeVar("Module", bound=torch.nn.Module)
+Lent = TypeVar("Lent", bound=torch.nn.Module)
 
 
-def on_device(module: Module, device: torch.device) -> Module:
+def on_device(module: Lent, device: torch.device) -> Lent:
     """The module if it is on this device, or else a copy there.
 
     Between stages every module is on the CPU. ``module.to(device)`` would leave one that a stage only uses where that

@@ -12,7 +12,7 @@ from datamodules.users_error import UsersError
 from idapt_pl.tasks.task import Task
 from idapt_pl.tasks.users_code import whole
 
-CAMERA = "view"
+SOURCE_CAMERA = "view"
 """Through which source images are seen."""
 
 
@@ -70,10 +70,10 @@ def check_model(name: str, model: mujoco.MjModel) -> None:
         ValueError: if there are none.
     """
     cameras = [model.camera(i).name for i in range(model.ncam)]
-    if CAMERA not in cameras:
+    if SOURCE_CAMERA not in cameras:
         raise ValueError(
-            f"task {name}: its model has no camera {CAMERA!r}, through which it is seen; it has: "
-            f'{", ".join(cameras) or "none"}. Name one so, as in <camera name="{CAMERA}" pos="0 -2 1" .../>'
+            f"task {name}: its model has no camera {SOURCE_CAMERA!r}, through which it is seen; it has: "
+            f'{", ".join(cameras) or "none"}. Name one so, as in <camera name="{SOURCE_CAMERA}" pos="0 -2 1" .../>'
         )
     if not model.nu:
         raise ValueError(f"task {name}: its model has no actuators; nothing would move")
