@@ -46,6 +46,10 @@ def claim(run_dir: Path) -> Iterator[None]:
         lock.release()
 
 
+AT_ONCE = ("config.yaml", "run.json", "ledger.json")
+"""What a run folder has before any stage of it."""
+
+
 def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -> None:
     """Write ``config.yaml`` (complete, re-runnable) and ``run.json``; a resumed run must have the same config.
 
@@ -56,7 +60,8 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     """
     text = parser.dump(config, skip_none=False)
     path, kept, asked = run_dir / "config.yaml", read_kept_config(run_dir), yaml.safe_load(text)
-    begun = any(run_dir.glob("step_*"))  # else it was refused before anything was done, and may be corrected
+    # a run that was refused before anything was done may be corrected
+    begun = any(p.name not in AT_ONCE and not p.name.startswith(".") for p in run_dir.glob("*"))
     if kept is not None and begun:
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
         if different := changed_keys(filled(without_retired(kept), defaults), asked):
