@@ -1,5 +1,6 @@
 """Algorithm 1 as a whole, tiny: what it leaves behind, its accounting, and exact resumption."""
 
+import copy
 import json
 import os
 import shutil
@@ -22,6 +23,7 @@ from cli.main import main
 from datamodules import read_trajectories
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.nets.units import Units, give_in_units
 from idapt_pl.run import Run
 from idapt_pl.stage import Stages, stage_seed
 from idapt_pl.stages.repair import SourceRepair
@@ -247,6 +249,16 @@ def changed_parts(before, after, parts):
     return {p for p in parts if any(not torch.equal(before[k], after[k]) for k in before if k.startswith(p))}
 
 
+def told_in_units_of(after, begun):
+    """A state predictor as it began, which tells the same states in the units of what it ended as."""
+    told = copy.deepcopy(begun)
+    last = max(n for n in told if n.startswith("P_S.mlp.") and n.endswith(".weight")).removesuffix(".weight")
+    weight, bias = told[f"{last}.weight"], told[f"{last}.bias"]
+    units = (Units(w["P_S.mean"][: len(weight)], w["P_S.std"][: len(weight)]) for w in (begun, after))
+    give_in_units(weight, bias, *units)
+    return told
+
+
 def test_every_stage_changes_what_it_is_to_train_and_learning_rates_of_zero_change_nothing(
     finished_run, tiny_args, tmp_path, monkeypatch
 ):
@@ -261,7 +273,9 @@ def test_every_stage_changes_what_it_is_to_train_and_learning_rates_of_zero_chan
         settings = {"schedule__grounding_steps": 1, "feeding__trial_episodes": 0, "feeding__garat_start": "identity"}
         assert main(["fit", *tiny_args(run, **settings, **rates)]) == 0
         for stage, parts in LEARNED.items():
-            changed = changed_parts(begun[1, stage], weights(run / f"step_01/{stage}/final.ckpt"), parts)
+            after = weights(run / f"step_01/{stage}/final.ckpt")
+            before = told_in_units_of(after, begun[1, stage]) if stage == "state_predictor" else begun[1, stage]
+            changed = changed_parts(before, after, parts)
             assert changed == (set(parts) if name == "learning" else set()), f"{stage}, {name}"
 
 

@@ -306,7 +306,8 @@ def copy_critics(teacher: StateSAC, policy: AsymmetricSAC) -> None:
 
     The teacher's critics see standardised states, the policy's the states: the scale goes into the first layers.
     """
-    theirs, plain = Units.of(teacher.actor.encoder), Units(torch.zeros(()), torch.ones(()))
+    theirs = Units.of(teacher.actor.encoder)
+    plain = Units(torch.zeros_like(theirs.mean), torch.ones_like(theirs.std))
     for name in ("critic", "critic_target"):
         critic = getattr(policy, name)
         critic.load_state_dict(getattr(teacher, name).state_dict())
