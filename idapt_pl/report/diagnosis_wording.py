@@ -32,6 +32,8 @@ def headline(result: DiagnosisResult) -> str:
         return "Something is missing that a quick look does not explain"
     if result.verdict is Verdict.UNEXPLAINED_RESIDUAL and result.effects:
         return "Something is still missing that no known effect explains"
+    if result.verdict is Verdict.NO_MISSING_EFFECT and result.effects:
+        return "No effect is missing, but other numerics fit better"
     return HEADLINES[result.verdict]
 
 
@@ -73,16 +75,21 @@ def found_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]
 
 
 def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
-    """That the model is as good as the data can show."""
+    """That the model is as good as the data can show, perhaps with another time step or integrator."""
     level = f"The error is {format_number(result.error.after)} times {result.error.yardstick}"
     good = (
         "; 1 is as good as can be."
         if result.error.after < 1.3
         else ", but neither state nor commands predict the rest."
     )
+    none = "none of the effects tried makes the predictions of episodes not used for fitting better than chance would."
+    if not result.effects:
+        return [f"No missing effect: {none}", level + good]
+    numerics = "; ".join(effect_sentence(e, model) for e in result.effects)  # what no verdict counts as missing
     return [
-        "No missing effect: none of the effects tried makes the predictions of episodes not used for fitting "
-        "better than chance would.",
+        f"No missing effect, but these recordings ask for other numerics: {numerics}.",
+        gain_sentence(result),
+        f"Beyond that {none}",
         level + good,
     ]
 

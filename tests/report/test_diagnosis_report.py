@@ -312,6 +312,7 @@ FRICTION = EffectEstimate(
     "joint_frictionloss", "shoulder", {"frictionloss": ParameterEstimate(0.0, 10.1, (9.8, 10.4), "N·m or N")},
     equivalent=(Alternative("actuator_gain", "motor", {"gain": 0.8}, ""),),
 )  # fmt: skip
+FINER = EffectEstimate("numerics", "world", {"timestep": ParameterEstimate(0.002, 0.0004, None, "s")}, equivalent=())
 
 
 @pytest.mark.parametrize(
@@ -325,7 +326,8 @@ FRICTION = EffectEstimate(
         ("effects_found", [FRICTION], "removes 97 % of the removable error on episodes not used for fitting"),
         ("effects_found", [FRICTION], "cannot tell dry friction on joint shoulder from gain of actuator motor."),
         ("effects_found", [FRICTION, FRICTION], "lacks 2 effects"),
-        ("no_missing_effect", [], "No missing effect"),
+        ("no_missing_effect", [], "No missing effect: none of the effects tried"),
+        ("no_missing_effect", [FINER], "ask for other numerics: time step and integrator of the simulation, 0.0004 s"),
         ("unexplained_residual", [], "no effect of the library explains it"),
         ("unexplained_residual", [FRICTION], "Part of the error stays unexplained"),
         ("insufficient_excitation", [], "cannot tell whether something is missing"),
