@@ -46,16 +46,25 @@ def read_action_table(path: Path) -> np.ndarray:
     """
     if not path.is_file():
         raise TrajectoryFileError(f"{path}: is missing; expected a row of numbers for each control step")
-    with open(path, newline="") as file:
-        rows = [row for row in csv.reader(file) if row]
-    if rows and not is_finite_number(rows[0][0]):
-        rows = rows[1:]
+    _, rows = read_rows(path)
     if not rows:
         raise TrajectoryFileError(f"{path}: has no actions")
     for i, row in enumerate(rows, 1):
         if len(row) != len(rows[0]) or not all(map(is_finite_number, row)):
             raise TrajectoryFileError(f"{path}: action {i} is {','.join(row)}; expected {len(rows[0])} finite numbers")
     return np.array(rows, dtype=np.float32)
+
+
+def read_action_names(path: Path) -> list[str]:
+    """Names of the actions, from the first row; none where that has numbers."""
+    return [name.strip() for name in read_rows(path)[0]]
+
+
+def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """A table's first row, if it is none of numbers, and the others."""
+    with open(path, newline="") as file:
+        rows = [row for row in csv.reader(file) if row]
+    return (rows[0], rows[1:]) if rows and not is_finite_number(rows[0][0]) else ([], rows)
 
 
 def numbers_by_size(path: Path) -> list[tuple[bool, int, str]]:

@@ -22,12 +22,20 @@ def send(action: np.ndarray) -> None:
     raise SystemExit("play.py: fill in send() for your robot")
 
 
+def resting() -> np.ndarray | None:
+    """The action that leaves the robot as it stands, near which the first one is kept. None: it may be any."""
+    return None
+
+
 def stop() -> None:
     """Bring the robot to rest: called at the end, on Ctrl-C and on errors. Fill this in if its last command lasts."""
 
 
 class PlayedPolicy:
-    """Images in, actions out. `limit` is how much an action may change in a control step, as a share of its range."""
+    """Images in, actions out. `limit` is how much an action may change in a control step, as a share of its range.
+
+    `begin` says from which action on.
+    """
 
     def __init__(self, path: str, limit: float = 1.0) -> None:
         options = onnxruntime.SessionOptions()
@@ -38,10 +46,10 @@ class PlayedPolicy:
         self.change = limit * (self.high - self.low)
         self.begin()
 
-    def begin(self) -> None:
-        """Forget everything; call it when an episode begins."""
+    def begin(self, last: np.ndarray | None = None) -> None:
+        """Forget everything; call it when an episode begins, with the action that the robot is told now."""
         self.frames: list[np.ndarray] = []
-        self.last: np.ndarray | None = None
+        self.last = None if last is None else np.clip(np.asarray(last, np.float32), self.low, self.high)
         self.memory = np.zeros((1, self.about["memory"]), np.float32)
 
     def square(self, image: np.ndarray) -> np.ndarray:
@@ -87,6 +95,9 @@ def main() -> None:
     if options.about:
         print(json.dumps(policy.about, indent=2))
         return
+    policy.begin(resting())
+    if options.limit < 1 and policy.last is None:
+        print("resting() says nothing, so the first action may be any: fill it in to bound that one too")
     try:
         play_steps(policy, period, max(1, round(options.seconds / period)), options.dry_run)
     except KeyboardInterrupt:

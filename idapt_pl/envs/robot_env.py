@@ -17,6 +17,9 @@ from idapt_pl.envs.image_env import ResetResult, StepResult
 from idapt_pl.envs.patient import Patient
 
 
+STEP_RETURNS = "observation, reward, terminated, truncated, info"
+
+
 class TargetFailed(RuntimeError):
     """A target could not be reset, stepped or seen; what was recorded before is kept."""
 
@@ -109,7 +112,8 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         if self.settings.attended:
             wait_for_person(self.settings.name)
         patience = None if self.settings.attended else self.settings.patience
-        observation, _ = self._ask("be reset", patience, self._robot.reset, seed=seed)
+        told = self._ask("be reset", patience, self._robot.reset, seed=seed)
+        observation, _ = self._whole("reset", told, "observation, info")
         self._elapsed = 0
         self._frames[:] = self._see(observation)
         return {"pixels": self._frames.copy()}, {}
@@ -125,9 +129,8 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         action = np.clip(actions[0].reshape(space.shape), space.low, space.high).astype(space.dtype)
         reward, over, cut, infos = 0.0, False, False, {}
         for _ in range(self.settings.repeat):
-            observation, gained, over, cut, infos = self._ask(
-                "take a step", self.settings.patience, self._robot.step, action
-            )
+            told = self._ask("take a step", self.settings.patience, self._robot.step, action)
+            observation, gained, over, cut, infos = self._whole("step", told, STEP_RETURNS)
             reward += self._reward(gained)
             if over or cut:
                 break
@@ -194,6 +197,17 @@ class RobotEnv(gymnasium.vector.VectorEnv):
             said = str(error) or type(error).__name__
             raise TargetFailed(f"target {self.settings.name} could not {what}: {said}") from error
 
+    def _whole(self, method: str, told: Any, parts: str) -> tuple[Any, ...]:
+        """What a method returned, if it is as many values as Gymnasium's returns; before version 0.26 it was not."""
+        expected = parts.split(", ")
+        if isinstance(told, tuple) and len(told) == len(expected):
+            return told
+        came = f"{len(told)} values" if isinstance(told, tuple) else type(told).__name__
+        raise TargetFailed(
+            f"target {self.settings.name}: its {method} returned {came}; expected {len(expected)}, as Gymnasium has "
+            f"them: {parts}"
+        )
+
     def _see(self, observation: Any) -> np.ndarray:
         """The image of an observation, uint8 (S, S, 3)."""
         name = self.settings.name
@@ -237,10 +251,10 @@ def check_robot(settings: RobotSettings, robot: Any) -> None:
 
 
 def looks_like_image(shape: tuple[int, ...] | None) -> bool:
-    """Whether a space's shape is an image's: (H, W), (H, W, 1 or 3) or (3, H, W)."""
+    """Whether a space's shape is an image's: (H, W), (H, W, 1, 3 or 4) or (3, H, W)."""
     if shape is None or len(shape) not in (2, 3) or min(sorted(shape)[-2:]) < 8:
         return False
-    return len(shape) == 2 or shape[-1] in (1, 3) or shape[0] in (1, 3)
+    return len(shape) == 2 or shape[-1] in (1, 3, 4) or shape[0] in (1, 3)
 
 
 def find_image(observation: Any, key: str | None) -> Any:
@@ -252,7 +266,7 @@ def find_image(observation: Any, key: str | None) -> Any:
 
 
 def as_image(image: Any) -> np.ndarray:
-    """An image as uint8 (H, W, 3).
+    """An image as uint8 (H, W, 3); what a fourth channel says of opacity is left out.
 
     Raises:
         ValueError: naming what it is instead.
@@ -260,8 +274,10 @@ def as_image(image: Any) -> np.ndarray:
     image = np.asarray(image)
     if not looks_like_image(image.shape):
         raise ValueError(f"no image, but an array {image.shape}")
-    if image.ndim == 3 and image.shape[-1] not in (1, 3):
+    if image.ndim == 3 and image.shape[-1] not in (1, 3, 4):
         image = np.moveaxis(image, 0, -1)
+    if image.ndim == 3 and image.shape[-1] == 4:
+        image = image[..., :3]
     if image.ndim == 2:
         image = image[..., None]
     if image.dtype != np.uint8:

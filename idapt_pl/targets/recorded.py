@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datamodules import Episode, Trajectories, read_trajectories
-from datamodules.episode_folder import ACTIONS, read_action_table, read_episode_folder
+from datamodules.episode_folder import ACTIONS, read_action_names, read_action_table, read_episode_folder
 from datamodules.images.fitting import Fitted
 from datamodules.trajectories import TrajectoryFileError, count_steps
 from idapt_pl.envs import ActionMap
@@ -79,6 +79,8 @@ class RecordedTarget(Target):
         Raises:
             TrajectoryFileError: if it does not suit.
         """
+        for folder in episode_folders(path):
+            self.check_names(folder / ACTIONS)
         recorded = read_any(path, self.period)
         if abs(recorded.dt - self.period) > SAME_RATE * self.period:
             raise TrajectoryFileError(
@@ -98,6 +100,19 @@ class RecordedTarget(Target):
             self.check_bounds(f"{path}: episode {i}", actions)
             made.append(Episode(actions, {"pixels": frames}))
         return made
+
+    def check_names(self, table: Path) -> None:
+        """Columns that are named as the target's actions must be in their order.
+
+        Raises:
+            TrajectoryFileError: if they are in another.
+        """
+        names, expected = read_action_names(table), list(self.actions.names)
+        if names != expected and sorted(names) == sorted(expected):
+            raise TrajectoryFileError(
+                f"{table}: its columns are {', '.join(names)}; expected in the order {', '.join(expected)}. Change the "
+                "file, or say target.actions.order"
+            )
 
     def check_bounds(self, what: str, actions: np.ndarray) -> None:
         """Recorded actions must be what the source's actuators can be told.
@@ -124,10 +139,15 @@ def read_any(path: Path, period: float) -> Trajectories:
     """
     if not path.is_dir():
         return read_trajectories(path)
-    folders = [path] if (path / ACTIONS).exists() else sorted(f.parent for f in path.glob(f"*/{ACTIONS}"))
+    folders = episode_folders(path)
     inside = [] if folders == [path] else sorted(p for p in path.iterdir() if p.is_dir() and p.name[0] != ".")
     if folders and (without := [p for p in inside if p not in folders]):
         raise TrajectoryFileError(f"{without[0]}: has no {ACTIONS}, as the other episodes of {path} have")
     if not folders:
         raise TrajectoryFileError(f"{path}: holds no episodes; expected {ACTIONS} beside pictures, or folders of both")
     return Trajectories(tuple(map(read_episode_folder, folders)), period, str(path))
+
+
+def episode_folders(path: Path) -> list[Path]:
+    """Folders with an episode each: a folder itself, or those in it; none of a file."""
+    return [path] if (path / ACTIONS).exists() else sorted(f.parent for f in path.glob(f"*/{ACTIONS}"))

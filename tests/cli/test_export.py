@@ -112,6 +112,10 @@ def test_play_fills_the_stack_limits_changes_and_never_sends_nan(tmp_path):
     slow = PlayedPolicy(tmp_path / "p.onnx", limit=0.01)
     actions = np.array([slow(image) for image in images])
     assert np.abs(np.diff(actions, axis=0)).max(0) == pytest.approx([0.02, 0.04], rel=1e-3)
+    slow.begin(np.array([1.0, 9.0]))  # what the robot is told before; 9 is out of bounds
+    assert np.abs(slow(images[0]) - [1.0, 2.0]).max() <= 0.04 + 1e-6
+    slow.begin()
+    assert np.array_equal(slow(images[0]), actions[0]), "without it the first action may be any"
     for shape in ((48, 96, 3), (17, 16, 3), (9, 12, 3)):
         image = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
         assert np.array_equal(play.square(image), Fitted(16, 16, "crop")(image)), "as the run has seen it"

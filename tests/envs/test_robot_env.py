@@ -9,7 +9,7 @@ import pytest
 
 from idapt_pl.envs import ActionMap, MappedActions, RobotEnv, TargetFailed
 from idapt_pl.envs.patient import Patient
-from idapt_pl.envs.robot_env import RobotSettings, as_image
+from idapt_pl.envs.robot_env import RobotSettings, as_image, looks_like_image
 from idapt_pl.rl.collect import collect
 
 BOX, UINT8 = gymnasium.spaces.Box, np.uint8
@@ -265,6 +265,29 @@ def test_what_one_thread_made_it_goes_on_with():
 def test_grey_images_are_images(shape):
     image = as_image(np.full(shape, 7, UINT8))
     assert image.shape == (24, 40, 3) and (image == 7).all()
+
+
+def test_what_is_said_of_opacity_is_left_out():
+    image = np.random.default_rng(0).integers(0, 256, (24, 40, 4), UINT8)
+    assert np.array_equal(as_image(image), image[..., :3])
+    assert looks_like_image((24, 40, 4)) and not looks_like_image((24, 40, 5))
+
+
+@pytest.mark.parametrize(
+    ("method", "told", "message"),
+    [
+        ("step", (np.zeros((24, 40, 3), UINT8), 0.0, False, {}), "its step returned 4 values; expected 5, as Gymnasium"),
+        ("step", None, "its step returned NoneType; expected 5"),
+        ("reset", np.zeros((24, 40, 3), UINT8), "its reset returned ndarray; expected 2.*observation, info"),
+    ],
+)
+def test_environments_of_before_gymnasium_are_told_what_is_expected(monkeypatch, method, told, message):
+    env = robot(Slider())
+    if method == "step":
+        env.reset(seed=0)
+    monkeypatch.setattr(env._robot, method, lambda *args, **kwargs: told)
+    with pytest.raises(TargetFailed, match=message):
+        env.step(push(0.0)) if method == "step" else env.reset(seed=0)
 
 
 # --- actions in other words -----------------------------------------------------------------------------

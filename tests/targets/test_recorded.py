@@ -13,9 +13,11 @@ from cli.fit import GroundingCLI
 from cli.main import main
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from datamodules.episode_folder import read_episode_folder
+from datamodules.trajectories import TrajectoryFileError
 from idapt_pl.deployment.play import PlayedPolicy
+from idapt_pl.envs import ActionMap
 from idapt_pl.stages.by_hand import write_plan
-from idapt_pl.targets import Look, make_target
+from idapt_pl.targets import Look, RecordedTarget, make_target
 from idapt_pl.tasks import make_task
 
 SOURCE = "gymnasium:InvertedPendulum-v5"
@@ -137,6 +139,17 @@ def test_recordings_that_do_not_suit_are_named(tmp_path, what, message):
     target = make_target({"recordings": [str(broken(tmp_path, what))]}, make_task(SOURCE))
     with pytest.raises(ValueError, match=message):
         target.recording(0, LOOK)
+
+
+def test_columns_in_another_order_than_their_names_say_are_refused(tmp_path):
+    (episode,) = episodes(1, nu=2)
+    two = ActionMap.from_config({}, -np.ones(2), np.ones(2), ["turn", "grip"])
+    target = RecordedTarget("lab", two, 0.1, files=(tmp_path,))
+    for header in ("turn,grip", "speed,grip", ""):
+        (read,) = target.episodes(as_folder(tmp_path / f"as{header}", episode, header=header), 16)
+        np.testing.assert_allclose(read.actions, episode.actions, atol=1e-6)
+    with pytest.raises(TrajectoryFileError, match=r"columns are grip, turn; expected in the order turn, grip"):
+        target.episodes(as_folder(tmp_path / "b", episode, header="grip, turn"), 16)
 
 
 @pytest.mark.parametrize(
