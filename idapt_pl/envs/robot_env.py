@@ -16,7 +16,6 @@ from datamodules.users_error import UsersError
 from idapt_pl.envs.image_env import ResetResult, StepResult
 from idapt_pl.envs.patient import Patient
 
-
 STEP_RETURNS = "observation, reward, terminated, truncated, info"
 
 

@@ -79,6 +79,9 @@ def outcome_header(record: RunRecord, metric: str) -> str:
         f"idapt {p.get('versions', {}).get('idapt', '?')}, method {record.method}",
         str(p.get("device", "device unknown")),
     ]
+    told = c["target"].get("actions") if isinstance(c["target"], dict) else None
+    if told:
+        about.append("the target's actions are the source's with " + ", ".join(f"{k} {v}" for k, v in told.items()))
     but = " but the oracle" if record.oracle else ""
     note = paragraph(
         f"The {metric} in the target is for evaluation only: nothing in the run{but} was trained or selected on "

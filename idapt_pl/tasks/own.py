@@ -91,8 +91,11 @@ def call_users(made: Any, what: str, options: dict[str, Any]) -> Any:
 
     Raises:
         UsersError: if it fails; its error is shown whole.
+        ValueError: if it is this package's, such as the client of a robot's server; its message says enough.
     """
     try:
         return made(**options)
-    except Exception:
+    except Exception as error:
+        if str(getattr(made, "__module__", "")).startswith("idapt_pl."):
+            raise ValueError(f"{what}: {error}") from error
         raise UsersError(whole(f"{what} fails")) from None

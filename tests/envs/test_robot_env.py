@@ -276,7 +276,7 @@ def test_what_is_said_of_opacity_is_left_out():
 @pytest.mark.parametrize(
     ("method", "told", "message"),
     [
-        ("step", (np.zeros((24, 40, 3), UINT8), 0.0, False, {}), "its step returned 4 values; expected 5, as Gymnasium"),
+        ("step", (np.zeros((24, 40, 3), UINT8), 0.0, False, {}), "its step returned 4 values; expected 5"),
         ("step", None, "its step returned NoneType; expected 5"),
         ("reset", np.zeros((24, 40, 3), UINT8), "its reset returned ndarray; expected 2.*observation, info"),
     ],

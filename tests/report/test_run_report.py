@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import yaml
 from conftest import TINY, numbered_episodes
 
 from cli.main import main
@@ -122,6 +123,14 @@ def test_a_run_that_has_hardly_begun_has_a_page(copied):
     (copied / "ledger.json").unlink()
     text = report(copied).text
     assert "No step has been evaluated yet" in text and "None has been made yet" in text
+
+
+def test_how_actions_are_told_to_a_target_of_ones_own_is_told(copied):
+    path = copied / "config.yaml"
+    config = yaml.safe_load(path.read_text())
+    said = {"env": "lab:make", "actions": {"scale": [0.5], "offset": 0.1}}
+    path.write_text(yaml.safe_dump(config | {"target": said}))
+    assert "the target's actions are the source's with scale [0.5], offset 0.1" in report(copied).text
 
 
 def test_damaged_files_are_named_and_the_rest_is_told(copied):

@@ -141,6 +141,17 @@ def test_answers_of_something_else_are_one_sentence(reply, says):
         thread.join()
 
 
+def test_a_server_that_is_not_there_is_one_line(tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+    config = tmp_path / "c.yaml"
+    robot = {"env": "idapt_pl.targets.remote:RemoteRobot", "options": {"port": port}}
+    config.write_text(yaml.safe_dump({"task": "gymnasium:InvertedPendulum-v5", "target": robot}))
+    assert main(["check", "--config", str(config), "--out", str(tmp_path / "check.png")]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"nothing answers at 127.0.0.1:{port}" in line and line.endswith("is robot_server.py running?")
+
+
 def test_images_that_are_not_what_was_said_are_refused_on_the_robots_side():
     class Odd(robot_server.Robot):
         image = (4, 4, 3)
