@@ -103,7 +103,8 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
 def in_words(name: str, error: Exception) -> str:
     """An error on one or two lines, that of a user's module whole; what no user can cause is called a bug."""
     if isinstance(error, argparse.ArgumentError):
-        return f"{plain(error)}. `idapt {name} --help` lists what there is."
+        keys = "fit" if name == "check" else name  # whose config it reads
+        return f"{plain(error)}. `idapt {keys} --help` lists what there is."
     if isinstance(error, WholeError):
         return str(error)
     lines = [line for line in str(error).splitlines() if line.strip()]

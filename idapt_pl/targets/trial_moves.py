@@ -45,6 +45,7 @@ class TrialMoves:
         motion: how far things moved with one push less the other, in each cell of the image, right and down, pixels
             (nu, CELLS, CELLS, 2).
         steps: control steps that it took.
+        ended: control steps after which the shortest push ended its episode; None where none did.
     """
 
     start: np.ndarray
@@ -52,6 +53,7 @@ class TrialMoves:
     minus: np.ndarray
     motion: np.ndarray
     steps: int
+    ended: int | None = None
 
 
 def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
@@ -67,6 +69,7 @@ def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
     assert isinstance(space, gymnasium.spaces.Box)
     middle, half = (space.high + space.low) / 2, (space.high - space.low) / 2
     ends, motions, taken, start = [], [], 0, np.zeros(0)
+    lasted: list[int] = []
     for i in range(len(middle)):
         for sign in (1.0, -1.0):
             action = middle.copy()
@@ -78,11 +81,13 @@ def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
                 taken += 1
                 frames.append(infos.get("final_obs", obs)["pixels"][0, -1])
                 if terminations[0] or truncations[0]:
+                    lasted.append(len(frames) - 1)
                     break
             ends.append(frames[-1])
             motions.append(apparent_motion(frames))
     plus, minus = np.array(ends[::2]), np.array(ends[1::2])
-    return TrialMoves(start, plus, minus, np.array(motions[::2]) - np.array(motions[1::2]), taken)
+    motion = np.array(motions[::2]) - np.array(motions[1::2])
+    return TrialMoves(start, plus, minus, motion, taken, min(lasted, default=None))
 
 
 def apparent_motion(frames: Sequence[np.ndarray]) -> np.ndarray:
@@ -121,6 +126,11 @@ def suspicions(source: TrialMoves, target: TrialMoves | None, names: Sequence[st
             found.append(f"the {what}'s image is nearly of one colour: is the camera where it should be?")
     if target is None:
         return found
+    if target.ended is not None and 2 * target.ended < (source.ended or PUSHED_STEPS):
+        found.append(
+            f"an episode of the target ends after {target.ended} control step{'s' * (target.ended > 1)} of a push, the "
+            "source's later: do they begin and end alike?"
+        )
     both = [i for i in range(len(names)) if visible(source, i)]
     found += [f"{names[i]} moves nothing that the target's camera sees" for i in both if not visible(target, i)]
     both = [i for i in both if visible(target, i)]

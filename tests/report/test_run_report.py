@@ -16,6 +16,7 @@ from datamodules import write_trajectories
 from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointArmature
+from idapt_pl.files import read_json, write_json, write_yaml
 from idapt_pl.image_diagnosis.result import (
     EnsembleBand,
     ForecastChannel,
@@ -126,10 +127,10 @@ def test_a_run_that_has_hardly_begun_has_a_page(copied):
 
 
 def test_how_actions_are_told_to_a_target_of_ones_own_is_told(copied):
-    path = copied / "config.yaml"
-    config = yaml.safe_load(path.read_text())
-    said = {"env": "lab:make", "actions": {"scale": [0.5], "offset": 0.1}}
-    path.write_text(yaml.safe_dump(config | {"target": said}))
+    target = {"target": {"env": "lab:make", "actions": {"scale": [0.5], "offset": 0.1}}}
+    started = read_json(copied / "run.json")
+    write_json(copied / "run.json", started | {"config": started["config"] | target}, checked=True)
+    write_yaml(copied / "config.yaml", yaml.safe_load((copied / "config.yaml").read_text()) | target)
     assert "the target's actions are the source's with scale [0.5], offset 0.1" in report(copied).text
 
 

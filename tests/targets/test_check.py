@@ -1,5 +1,7 @@
 """What `idapt check` finds before a run: axes, signs, units and cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -60,6 +62,15 @@ NAMES = ("shoulder", "elbow")
 def test_what_is_crossed_is_said_and_nothing_else(target, said):
     found = crossed(SOURCE, np.array(target), (0, 1), NAMES)
     assert len(found) == len(said) and all(part in sentence for part, sentence in zip(said, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "said"),
+    [(None, None, False), (None, 2, True), (None, 3, False), (8, 7, False), (10, 4, True), (4, None, False)],
+)
+def test_a_target_whose_episodes_end_much_sooner_is_told(source, target, said):
+    a, b = (replace(moves(SOURCE), ended=ended) for ended in (source, target))
+    assert any("control step" in sentence for sentence in suspicions(a, b, NAMES)) == said
 
 
 def moves(motion, seen=(True, True), start=None):
