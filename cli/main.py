@@ -11,7 +11,6 @@ import sys
 import warnings
 
 from cli.interrupt import Interrupted, interruptible, leave_within
-from datamodules.users_error import WholeError
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -89,15 +88,14 @@ def main(argv: list[str] | None = None) -> int:
 def run_command(name: str, args: list[str], debug: bool) -> int:
     """Run one of :data:`COMMANDS`, with errors on one line, or (to debug) as they are. Returns its exit code."""
     try:
+        importlib.import_module("idapt_pl")  # before mujoco, for rendering; here, as `idapt --help` need not wait
         module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
         return importlib.import_module(f"cli.{module}").main(args)
     except Exception as error:
         if debug:
             raise
         print(f"idapt {name}: {in_words(name, error)}", file=sys.stderr)
-        if isinstance(error, WholeError):
-            return error.exit_code
-        return 2 if isinstance(error, argparse.ArgumentError) else 1
+        return 2 if isinstance(error, argparse.ArgumentError) else getattr(error, "exit_code", 1)
 
 
 def in_words(name: str, error: Exception) -> str:
@@ -105,7 +103,7 @@ def in_words(name: str, error: Exception) -> str:
     if isinstance(error, argparse.ArgumentError):
         keys = "fit" if name == "check" else name  # whose config it reads
         return f"{plain(error)}. `idapt {keys} --help` lists what there is."
-    if isinstance(error, WholeError):
+    if hasattr(error, "exit_code"):  # a WholeError, which is not worth importing torch for
         return str(error)
     lines = [line for line in str(error).splitlines() if line.strip()]
     text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]

@@ -72,6 +72,12 @@ def test_overrides_on_the_command_line_win(tiny_args, tmp_path):
 # --- mistakes -------------------------------------------------------------------------------------------
 
 
+def test_the_overview_does_not_wait_for_torch():
+    code = "import sys; from cli.main import main; assert main(['--help']) == 0; assert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and "ground the source in the target" in done.stdout, done.stderr
+
+
 def test_usage_lists_every_command(capsys):
     code, printed = run(["--help"], capsys)
     assert code == 0 and all(name in printed.out for name in COMMANDS)
