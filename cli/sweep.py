@@ -80,7 +80,7 @@ def main(args: list[str]) -> int:
         return run_sweep(settings, folder, o)
     if not folder.yaml.is_file():
         raise ValueError(f"{folder.path} holds no sweep; idapt sweep --config YAML begins one")
-    runs = folder.read_plan() or plan_sweep(settings, folder, complete_config)  # jobs of an array keep no plan
+    runs = planned_now(settings, folder)
     progress = read_progress(runs, folder)
     if o.action == "report":
         print(write_sweep_report(runs, progress.statuses, folder, settings, o.out))
@@ -88,6 +88,19 @@ def main(args: list[str]) -> int:
     slots = max(len(progress.of(RUNNING)), 1)
     show_outcome(Console(), progress, folder, slots)
     return 0
+
+
+def planned_now(settings: SweepSettings, folder: SweepFolder) -> list[PlannedRun]:
+    """The runs that the YAML says now: jobs of an array keep no plan, and may have been given more than an old one has.
+
+    Where its configs cannot be found any more, or not from here, the runs of the plan.
+    """
+    try:
+        return plan_sweep(settings, folder, complete_config, write=False)
+    except ValueError:
+        if planned := folder.read_plan():
+            return planned
+        raise
 
 
 def check_options(o: argparse.Namespace) -> None:

@@ -6,10 +6,12 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
 
+from idapt_pl.files import read_yaml
 from idapt_pl.run_config import in_file_names
 from idapt_pl.run_folder.kept_config import changed_keys
 from idapt_pl.sweep.folder import SweepFolder
@@ -138,15 +140,26 @@ def completed(complete: Complete, arguments: list[str], where: str) -> dict[str,
 
 
 def digest_of(arguments: Sequence[str]) -> str:
-    """SHA-256 of arguments and the files that they name."""
+    """SHA-256 of arguments and the files that they and their configs name, such as ranges or known effects."""
     found = hashlib.sha256()
     for argument in arguments:
         key, _, value = argument.partition("=")
         found.update(argument.encode())
-        if key == "--config" and "\n" not in value:
-            with open(value, "rb") as f:
-                found.update(f.read())
+        if key == "--config":
+            said = yaml.safe_load(value) if "\n" in value else read_yaml(Path(value))
+            found.update(json.dumps(said, sort_keys=True, default=str).encode())
+            for path in named_files(said):
+                found.update(path.read_bytes())
     return found.hexdigest()[:16]
+
+
+def named_files(said: Any) -> Iterator[Path]:
+    """Files that values of a config name, in order."""
+    if isinstance(said, dict | list):
+        for value in said.values() if isinstance(said, dict) else said:
+            yield from named_files(value)
+    elif isinstance(said, str) and Path(said).suffix and len(said) < 500 and Path(said).is_file():
+        yield Path(said)
 
 
 def refuse_clashes(runs: Sequence[PlannedRun], configs: dict[str, dict[str, Any]], folder: SweepFolder) -> None:

@@ -251,7 +251,7 @@ def runs_section(
     rows = []
     for run in runs:
         r = had.get(run)
-        after = [] if r is None else [*r.steps]
+        after = [] if r is None else [*r.steps] or [r.last]
         told = ", ".join("not measured" if v is None else format_score(v, r.metric) for v in after) if r else ""
         minutes, commit, cpu = (f"#{r.minutes:.1f}", short(r.commit), f"{r.cpu}; {r.host}") if r else ("#-", "", "")
         rows.append(row(f"#{run.index}", run.name, statuses[run].state, told, minutes, commit, cpu))

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from idapt_pl.evaluation.paper import PAPER_RESULTS
 from idapt_pl.files import read_json
+from idapt_pl.randomisation import FOUND
+from idapt_pl.run_folder.interactions import ORACLE
 from idapt_pl.run_folder.kept_config import read_run_json
 from idapt_pl.sweep.folder import DONE, RunStatus, SweepFolder
 from idapt_pl.sweep.plan import PlannedRun
 from idapt_pl.sweep.settings import SweepSettings
+
+STEPLESS = ("source", "oracle")
+"""Methods (:data:`~idapt_pl.run_config.METHOD_NAMES`) without grounding steps."""
 
 LEAST_GAP = 0.05
 """Of the larger of the two: a gap between direct transfer and the reference that is worth to be measured in."""
@@ -27,8 +33,9 @@ class RunResult:
         run: which.
         metric: return or success.
         episodes: of each mean.
-        direct_transfer: of the source's policy.
-        steps: of the policy after each step, from step 0 on.
+        direct_transfer: of the source's policy; None where that policy is what the run is about.
+        steps: of the policy after each step, from step 0 on; empty where there are none, as of randomised sources.
+        last: of what the run ended with.
         oracle: of SAC in the target, if it was trained.
         target_steps: control steps in the target that training took.
         minutes: of all stages.
@@ -40,6 +47,7 @@ class RunResult:
     episodes: int
     direct_transfer: float | None
     steps: tuple[float | None, ...]
+    last: float | None
     oracle: float | None
     target_steps: int
     minutes: float
@@ -48,16 +56,17 @@ class RunResult:
     host: str
 
     @property
-    def last(self) -> float | None:
-        """What the run ended with."""
-        return self.steps[-1]
+    def step_0(self) -> float | None:
+        """Of the policy after step 0; None where there was no such step, or it was not measured."""
+        return self.steps[0] if self.steps else None
 
     def to_row(self) -> dict[str, Any]:
         """For a table."""
         return {
             "task": self.run.label, "target": self.run.target, "method": self.run.method, "seed": self.run.seed,
             "metric": self.metric, "episodes": self.episodes, "direct_transfer": self.direct_transfer,
-            "step_0": self.steps[0], "last": self.last, "grounding_steps": len(self.steps) - 1, "oracle": self.oracle,
+            "step_0": self.step_0, "last": self.last, "grounding_steps": max(0, len(self.steps) - 1),
+            "oracle": self.oracle,
             "target_interactions": self.target_steps, "minutes": round(self.minutes, 1), "commit": self.commit,
             "cpu": self.cpu, "host": self.host,
         }  # fmt: skip
@@ -107,12 +116,37 @@ def read_result_of(run: PlannedRun, status: RunStatus, folder: SweepFolder) -> R
         "target_interactions",
         "wall_s",
     )
-    s, told = read_json(folder.run(run.name) / "summary.json", keys), read_run_json(folder.run(run.name))
-    steps = (s["visual_only"], *s["grounded"])
+    path = folder.run(run.name)
+    s, told = read_json(path / "summary.json", keys), read_run_json(path)
+    steps = (s["visual_only"], *s["grounded"]) if s.get("method") not in STEPLESS else ()
+    direct = s["direct_transfer"] if is_plain(told.get("config") or {}) else None
+    used = s["target_interactions"] + steps_of_oracle(path) * (s.get("method") == "oracle")
     return RunResult(
-        run, s["metric"], s["episodes"], s["direct_transfer"], steps, s["oracle"], s["target_interactions"],
-        s["wall_s"] / 60, str(told.get("git_commit") or ""), str(told.get("cpu") or ""), status.host,
+        run, s["metric"], s["episodes"], direct, steps, last_result(s), s["oracle"], used, s["wall_s"] / 60,
+        str(told.get("git_commit") or ""), str(told.get("cpu") or ""), status.host,
     )  # fmt: skip
+
+
+def last_result(summary: Mapping[str, Any]) -> float | None:
+    """What a run ended with, from its ``summary.json``; runs of before there was ``result`` ended with their last step.
+
+    Args:
+        summary: as :meth:`~idapt_pl.evaluation.evaluation.Evaluation.summary` has it.
+    """
+    value = summary.get("result", [summary["visual_only"], *summary["grounded"]][-1])
+    return None if value is None else float(value)
+
+
+def is_plain(config: Mapping[str, Any]) -> bool:
+    """Whether the policy that a run calls direct transfer is one of the source as it is, and has no memory."""
+    ranges = (config.get("randomisation") or {}).get("ranges")
+    return ranges in (None, FOUND) and not (config.get("policy") or {}).get("recurrent")
+
+
+def steps_of_oracle(path: Path) -> int:
+    """Control steps in the target that the oracle of a run trained for."""
+    entries = read_json(path / "ledger.json", ("entries",))["entries"] if (path / "ledger.json").exists() else []
+    return sum(e["count"] for e in entries if e["purpose"] == ORACLE)
 
 
 def by_cell(results: Sequence[RunResult]) -> dict[str, list[RunResult]]:
@@ -126,7 +160,8 @@ def by_cell(results: Sequence[RunResult]) -> dict[str, list[RunResult]]:
 def cell_scale(mine: Sequence[RunResult], settings: SweepSettings) -> CellScale:
     """What a cell's scores are measured in.
 
-    Direct transfer is what ``references`` say, else the mean over the cell's runs. The reference is the oracle that
+    Direct transfer is what ``references`` say, else the mean over the cell's runs that have a policy of the plain
+    source: of those that went on to ground it, if there are any, as others train it for longer. The reference is the oracle that
     ``references`` say or that the runs trained, or IDAPT in the paper: first what ``normalise`` names.
 
     Args:
@@ -135,7 +170,8 @@ def cell_scale(mine: Sequence[RunResult], settings: SweepSettings) -> CellScale:
     """
     run = mine[0].run
     given = settings.references.get(run.cell) or settings.references.get(f"{run.task}/{run.target}") or {}
-    direct = [r.direct_transfer for r in mine if r.direct_transfer is not None]
+    plain = [r for r in mine if r.direct_transfer is not None]
+    direct = [r.direct_transfer for r in ([r for r in plain if r.steps] or plain)]
     zero, zero_from = given.get("direct_transfer"), "by the sweep's references"
     if zero is None and direct:
         zero, zero_from = float(np.mean(direct)), f"mean of {len(direct)} runs"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -117,6 +117,10 @@ def settings_from(said: Mapping[str, Any], folder: Path) -> SweepSettings:
     overrides = variant(said.get("overrides"), "overrides")
     r = mapping(said.get("resources"), "resources")
     known(r, RunResources.__dataclass_fields__, "resources")
+    tasks = base_configs(said.get("tasks"), said.get("size", "full"))
+    references = measured_elsewhere(said.get("references"))
+    if isinstance(said.get("references"), dict):  # a table may have more cells than a sweep
+        refuse_unknown_cells(references, tasks, targets)
     retries, normalise = said.get("retries", 1), said.get("normalise", "oracle")
     if normalise not in ("oracle", "paper"):
         raise ValueError(f"normalise is {normalise!r}, expected oracle or paper: what a score of 1 is")
@@ -124,7 +128,7 @@ def settings_from(said: Mapping[str, Any], folder: Path) -> SweepSettings:
         raise ValueError(f"storage is {said['storage']!r}, expected a folder or an address such as s3://bucket/sweep")
     return SweepSettings(
         folder=folder,
-        tasks=base_configs(said.get("tasks"), said.get("size", "full")),
+        tasks=tasks,
         targets=targets,
         methods={name: variant(v, f"methods: {name}") for name, v in named_methods(said.get("methods")).items()},
         seeds=root_seeds(said.get("seeds")),
@@ -136,7 +140,7 @@ def settings_from(said: Mapping[str, Any], folder: Path) -> SweepSettings:
         retries=int(number(retries, "retries", 0, 100, whole=True)),
         storage=said.get("storage"),
         normalise=normalise,
-        references=measured_elsewhere(said.get("references")),
+        references=references,
     )
 
 
@@ -279,6 +283,21 @@ def measured_elsewhere(said: Any) -> dict[str, dict[str, float]]:
             raise ValueError(f"{where}: expected a task and a target, as in inverted_pendulum/hard")
         found[str(cell)] = {str(k): number(v, f"{where}.{k}", -1e9, 1e9) for k, v in entries.items()}
     return found
+
+
+def refuse_unknown_cells(
+    references: Mapping[str, Any], tasks: Mapping[str, Sequence[str]], targets: Mapping[str, Any]
+) -> None:
+    """References must be of cells that the sweep has; a name may be the sweep's or the task's own.
+
+    Raises:
+        ValueError: naming the first that is none.
+    """
+    for cell in references:
+        task, _, target = cell.partition("/")
+        if (task not in tasks and task not in TASKS) or ("" not in targets and target not in targets):
+            cells = ", ".join(f"{t}/{d or 'TARGET'}" for t in tasks for d in targets)
+            raise ValueError(f"references: {cell} is no cell of this sweep; it has {cells}")
 
 
 def tabled_oracles(path: Path) -> dict[str, dict[str, float]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.evaluation.paper import PAPER_RESULTS, PAPER_STEPS, unlike_the_paper
+from idapt_pl.evaluation.paper import PAPER_RESULTS, paper_steps, unlike_the_paper
 from idapt_pl.evaluation.statistics import (
     Estimate,
     interquartile_mean,
@@ -55,7 +55,7 @@ def cell_rows(results: Sequence[RunResult], settings: SweepSettings) -> list[Row
             if some:
                 last = np.array([r.last for r in some])
                 row |= {"direct_transfer": mean_of([r.direct_transfer for r in some])}
-                row |= {"step_0": mean_of([r.steps[0] for r in some]), "last": float(last.mean())}
+                row |= {"step_0": mean_of([r.step_0 for r in some]), "last": float(last.mean())}
                 row |= columns_of("iqm", stratified_bootstrap([last], interquartile_mean, generator()), len(some))
                 row |= {"score": None if scale.missing else float(interquartile_mean(scale.scores(last)))}
                 row |= {"oracle": mean_of([r.oracle for r in some])}
@@ -78,7 +78,7 @@ def paper_rows(cell: str, mine: Sequence[RunResult], scale: CellScale) -> list[R
             rows.append({
                 "cell": cell, "method": method, "metric": mine[0].metric, "source": "paper", "last": value,
                 "score": None if scale.missing else float(scale.scores(np.array(value))), "note": "; ".join(why),
-                "target_interactions": PAPER_STEPS if method == "IDAPT" else None,
+                "target_interactions": paper_steps(method, run.target),
             })  # fmt: skip
     return rows
 

@@ -15,6 +15,7 @@ from idapt_pl.run_folder.time_left import in_words
 from idapt_pl.sweep.estimate import expected_minutes, minutes_to_the_end
 from idapt_pl.sweep.folder import BY_HAND, DONE, FAILED, RUNNING, WAITING, RunStatus, SweepFolder, last_stage
 from idapt_pl.sweep.plan import PlannedRun
+from idapt_pl.sweep.results import last_result
 
 COLOURS = {DONE: "green", RUNNING: "cyan", FAILED: "red", BY_HAND: "yellow", WAITING: "dim"}
 LONGEST_TABLE = 40
@@ -64,7 +65,7 @@ def read_progress(runs: Sequence[PlannedRun], folder: SweepFolder, seen: SweepPr
             except DamagedFile:
                 continue
             minutes[run] = summary["wall_s"] / 60
-            results[run] = [summary["visual_only"], *summary["grounded"]][-1]
+            results[run] = last_result(summary)
     return SweepProgress(statuses, minutes, results)
 
 

@@ -43,7 +43,7 @@ def sweep(tmp_path):
             summary = {
                 "metric": "success" if task == "fetch_reach" else "return", "episodes": 20,
                 "direct_transfer": direct[seed], "oracle": oracle, "visual_only": 50.0, "grounded": [last[seed]],
-                "target_interactions": 6000, "wall_s": 600.0 + 60 * seed,
+                "target_interactions": 6000, "wall_s": 600.0 + 60 * seed, "method": "idapt", "result": last[seed],
             }  # fmt: skip
             folder.run(name).mkdir(parents=True)
             (folder.run(name) / "summary.json").write_text(json.dumps(summary))
@@ -70,6 +70,44 @@ def test_scores_are_0_at_direct_transfer_and_1_at_the_reference(sweep):
     scale = cell_scale(cells["half_cheetah/hard"], given)
     assert (scale.zero, scale.one) == (0, 2000) and "references" in scale.zero_from and "references" in scale.one_from
     assert "direct transfer has 1 already" in cell_scale(cells["fetch_reach/easy"], settings()).missing
+
+
+def other_run(sweep, index, name, seed, config, **summary):
+    """A run of a method without grounding steps beside those of the sweep."""
+    folder, runs = sweep
+    run = PlannedRun(index, f"half_cheetah_hard_{name}_{seed}", "half_cheetah", "half_cheetah", "hard", name, seed)
+    told = json.loads((folder.run(runs[4].name) / "summary.json").read_text())
+    folder.run(run.name).mkdir(parents=True)
+    told |= {"visual_only": None, "grounded": [], "oracle": None, "target_interactions": 0} | summary
+    (folder.run(run.name) / "summary.json").write_text(json.dumps(told))
+    (folder.run(run.name) / "run.json").write_text(json.dumps({"config": config}))
+    folder.write_status(run.name, RunStatus(DONE, [], "node1"))
+    return run
+
+
+def test_methods_without_grounding_steps_have_results_and_do_not_move_the_scale(sweep):
+    folder, runs = sweep
+    mine = runs[4:8]  # HalfCheetah's: direct transfer 100 and 300
+    wide = {"randomisation": {"ranges": "wide"}}
+    others = [
+        other_run(sweep, 20, "DR-Wide", 0, wide, method="source", result=2700.0, direct_transfer=2700.0),
+        other_run(sweep, 21, "plain", 0, {}, method="source", result=900.0, direct_transfer=900.0),
+        other_run(sweep, 22, "oracle", 0, {}, method="oracle", result=3200.0, oracle=3200.0, direct_transfer=None),
+    ]
+    entries = [{"step": 0, "purpose": "oracle reference", "count": 70}, {"step": 0, "purpose": "evaluation", "count": 9}]
+    (folder.run(others[2].name) / "ledger.json").write_text(json.dumps({"entries": entries}))
+    results = read_results([*mine, *others], statuses_of(folder, [*mine, *others]), folder)
+    dr, plain, oracle = results[4:]
+    assert (dr.last, dr.step_0, dr.direct_transfer, dr.target_steps) == (2700, None, None, 0)
+    assert (plain.last, plain.direct_transfer) == (900, 900)
+    assert (oracle.last, oracle.target_steps) == (3200, 70)
+    assert cell_scale(results, settings()).zero == 200, "of the policies that IDAPT's runs begin with"
+    scores = method_scores(results, settings())
+    assert scores.cells == ["half_cheetah/hard"] and scores.scores["DR-Wide"][0] == pytest.approx([2500 / 3000])
+    assert read_progress(others, folder).results[others[0]] == 2700
+    rows = {r["method"]: r for r in cell_rows(results, settings()) if r["source"] != "paper"}
+    assert rows["DR-Wide"]["last"] == 2700 and rows["DR-Wide"]["step_0"] is None
+    write_sweep_report([*mine, *others], statuses_of(folder, [*mine, *others]), folder, settings())
 
 
 def test_scores_over_all_cells_are_of_the_cells_that_have_a_scale(sweep):
@@ -111,6 +149,8 @@ def test_the_papers_figures_stand_beside_ours_with_what_differs(sweep):
     assert "25,000 target steps there, 6,000 here" in paper["half_cheetah/hard"]["note"]
     assert "Unity" in "".join(unlike_the_paper("sawyer_push", "hard", "IDAPT", 25_000))
     assert unlike_the_paper("walker2d", "easy", "DR-Wide", 0) == ["read off a figure, ± 10"]
+    assert unlike_the_paper("walker2d", "easy", "IDAPT", 21_000) == ["read off a figure, ± 10"]
+    assert "55,000 target steps there, 6,000 here" in unlike_the_paper("walker2d", "hard", "CC-State", 6000)
     tasks = {task for task, _ in PAPER_RESULTS}
     assert set(PAPER_RESULTS) == {(task, target) for task in tasks for target in ("easy", "hard")} and len(tasks) == 5
 

@@ -166,6 +166,31 @@ def test_a_run_that_was_begun_keeps_its_settings(tmp_path):
         )  # fmt: skip
 
 
+def test_a_file_that_a_setting_names_is_a_setting(tmp_path):
+    ranges = tmp_path / "mine.yaml"
+    ranges.write_text("[1]\n")
+
+    def read(arguments):  # as a complete config holds the content of such a file
+        return {"task": "inverted_pendulum", "target": "hard", "ranges": ranges.read_text()}
+
+    methods = {"mine": {"randomisation.ranges": str(ranges)}}
+    first = made(tmp_path, seeds=[0], methods=methods)
+    folder = SweepFolder(first.folder)
+    (run,) = plan_sweep(first, folder, read)
+    assert plan_sweep(first, folder, read) == [run]
+    ranges.write_text("[2]\n")
+    assert plan_sweep(first, folder, read)[0].digest != run.digest
+
+
+def test_references_are_of_cells_of_the_sweep(tmp_path):
+    for cell in ("inverted_pendulum/hard", "half_cheetah/hard"):
+        assert made(tmp_path, references={cell: {"oracle": 5}}).references == {cell: {"oracle": 5}}
+    with pytest.raises(ValueError, match=r"half_cheeta/hard is no cell of this sweep; it has inverted_pendulum/hard"):
+        made(tmp_path, references={"half_cheeta/hard": {"oracle": 5}})
+    with pytest.raises(ValueError, match="inverted_pendulum/easy is no cell"):
+        made(tmp_path, references={"inverted_pendulum/easy": {"oracle": 5}})
+
+
 def test_one_run_of_an_array_is_planned_alone(tmp_path):
     settings, calls = made(tmp_path, methods={"a": {}, "b": {"episodes": 2}}), []
     folder = SweepFolder(settings.folder)
