@@ -115,7 +115,7 @@ class IterativeGrounding:
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
         self.repair.physical_effects(0, D_T, G, pi)
-        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi)
+        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
         pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
 
@@ -131,7 +131,7 @@ class IterativeGrounding:
         F_before = None if repaired else g.F  # else it was F of another source
         F = self.ground_actions(k, D_T, G, pi, F_before)
         F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
-        labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi)
+        labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi, self.schedule.paired_steps)
         pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled)
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
 

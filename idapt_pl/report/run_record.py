@@ -41,6 +41,7 @@ ORDER = (
     "known_start_search",
     "dynamics",
     "selection",
+    "reading_offsets",
     "reading_errors",
     "labelled",
     "teacher",

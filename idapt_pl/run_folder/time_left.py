@@ -92,6 +92,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     costs |= {f"teacher_{i}": costs["teacher"] for i in range(2, t.candidates + 1)}
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
+        costs["reading_offsets"] = 150.0 * config.labels.offsets
     costs |= learning_costs(config, lengths, lengths.policy, "")
     if t.harden and (not k or costs["teacher"]):  # whenever the teacher is another one
         again = {name: cost for name, cost in learning_costs(config, lengths, 0, "hardened_").items() if "_" in name}

@@ -2,6 +2,7 @@
 
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.fixed_lag import EnsembleFilter, ReadingModel, Smoothed, smooth_episode
+from idapt_pl.smoothing.offsets import reading_offsets
 from idapt_pl.smoothing.recordings import ReadRecording, RecordingSmoother, reading_model
 
 __all__ = [
@@ -12,5 +13,6 @@ __all__ = [
     "SimulatedEnsemble",
     "Smoothed",
     "reading_model",
+    "reading_offsets",
     "smooth_episode",
 ]

@@ -9,7 +9,7 @@ readings, less the same offset: multiple shooting (Bock & Plitt 1984), with the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -17,7 +17,6 @@ import numpy as np
 from idapt_pl.diagnosis.simulator import silence_mujoco
 from idapt_pl.effects import Domain
 from idapt_pl.estimation.intervals import paired_gain
-from idapt_pl.estimation.least_squares import HUBER, ParameterBox, gauss_newton, jacobian, robust_loss
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.recordings import ReadRecording
 from idapt_pl.tasks import Task
@@ -29,16 +28,21 @@ errors of single readings have grown too much."""
 STRIDE, MOST = 3, 360
 """Control steps from one beginning to the next, and beginnings at most."""
 
-USUAL = 0.5
-"""Mean errors of a component beyond which they count linearly."""
+MOVED = 0.1
+"""Units of the states' spread by which an offset is moved to see what that does."""
+
+FEW, MANY = 0.3, 3.0
+"""Errors, in mean errors of their component, up to which they count by their square, and from which they do not."""
 
 WILD = 20.0
-"""Windows whose slopes are as steep somewhere are left out: a contact multiplies there whatever is wrong."""
+"""Simulations whose slopes are as steep somewhere are left out: a contact multiplies there whatever is wrong."""
 
-LARGEST = 2.0
-"""Offsets at most, in units of the states' spread."""
+PRIOR = 0.05
+"""How firmly offsets are held to zero, in simulations' information about an offset of one spread."""
 
-ITERATIONS = 16
+ITERATIONS, LENGTHS = 10, (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Steps, and how far each may go: noise in where simulations begin makes steps too short (errors in variables)."""
+
 STANDARD_ERRORS = 2.0
 """By which offsets must make forecasts better in recordings that they were not fitted to."""
 
@@ -85,31 +89,28 @@ class Shooting:
         domain: its model.
         shots: stretches of recordings.
         scale: of the components of a state, (s,).
-        shown: components that have an offset.
     """
 
     task: Task
     domain: Domain
     shots: Shots
     scale: np.ndarray
-    shown: Sequence[int]
 
-    def errors(self, offset: np.ndarray) -> np.ndarray:
-        """Of simulations, in units of the scale, (n, T s), for offsets of the shown components in these units."""
-        off = np.zeros(len(self.scale))
-        off[list(self.shown)] = offset
-        states = self.shots.readings - off * self.scale
+    def __call__(self, offset: np.ndarray) -> np.ndarray:
+        """Errors of simulations (n, T, s), for an offset (s,), both in units of the scale."""
+        states = self.shots.readings - offset * self.scale
         errors = (states[:, 1:] - self.simulate(states[:, 0])) / self.scale
-        return np.clip(np.nan_to_num(errors, nan=1e3), -1e3, 1e3).reshape(len(self.shots), -1)
+        return np.clip(np.nan_to_num(errors, nan=1e3), -1e3, 1e3)
 
     def simulate(self, begin: np.ndarray) -> np.ndarray:
         """States (n, T, s) from where simulations begin (n, s), by the recorded actions."""
-        ensemble = SimulatedEnsemble(self.task, self.domain, len(self.shots))
-        model, low_high, states = ensemble.model, ensemble.model.actuator_ctrlrange.T, []
+        ensemble, states = SimulatedEnsemble(self.task, self.domain, len(self.shots)), []
+        model = ensemble.model
         ensemble.put(ensemble.begin(begin))
         with silence_mujoco():
             for actions in np.swapaxes(self.shots.actions, 0, 1):
-                for data, command in zip(ensemble.data, self.domain.command(model, np.clip(actions, *low_high)), strict=True):
+                commands = self.domain.command(model, np.clip(actions, *model.actuator_ctrlrange.T))
+                for data, command in zip(ensemble.data, commands, strict=True):
                     for _ in range(self.task.action_repeat):
                         self.task.play(model, data, command)
                     mujoco.mj_kinematics(model, data)
@@ -118,50 +119,64 @@ class Shooting:
 
 
 def reading_offsets(
-    task: Task, domain: Domain, recordings: Sequence[ReadRecording], scale: np.ndarray, shown: Sequence[int], begin: int
-) -> np.ndarray:
-    """What is read too much of every component, (s,); zero where it does not surely make other forecasts better.
+    task: Task, domain: Domain, recordings: Sequence[ReadRecording], scale: np.ndarray, begin: int
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """What is read too much of every component, (s,), and what that gains in recordings that it was not fitted to.
+
+    Zeros where it does not surely make forecasts better there. The gain is in mean errors, with its standard error.
 
     Args:
         task: of the robot; tells positions and velocities from states.
         domain: its model.
         recordings: as the sensor reads them.
         scale: the states' spread, (s,).
-        shown: components that positions depend on.
         begin: control steps of each recording that are not looked at.
     """
     none = np.zeros(len(scale))
     steps = max(STEPS_LEAST, round(SECONDS / task.period(domain.compile())))
-    shots = shots_of(recordings, begin, steps)
-    if len(np.unique(shots.recording)) < 2:
-        return none
-    odd = shots.recording % 2 == 1
-    fitted = [fit_offset(Shooting(task, domain, shots[rows], scale, shown)) for rows in (odd, ~odd)]
-    before, after = np.zeros(len(shots)), np.zeros(len(shots))
-    for rows, offset in ((~odd, fitted[0]), (odd, fitted[1])):
-        judged = Shooting(task, domain, shots[rows], scale, shown)
-        errors, better = judged.errors(np.zeros(len(shown))), judged.errors(offset)
-        size = usual(errors, len(scale))
-        before[rows], after[rows] = robust_loss(errors / size), robust_loss(better / size)
-    gain, error = paired_gain(before, after, shots.recording)
-    if gain < STANDARD_ERRORS * error:
-        return none
-    none[list(shown)] = np.mean(fitted, 0)
-    return none * scale
+    fitted, judged = (Shooting(task, domain, shots_of(recordings[first::2], begin, steps), scale) for first in (0, 1))
+    if len(fitted.shots) < len(none) or len(np.unique(judged.shots.recording)) < 2:
+        return none, (0.0, 0.0)
+    offset = fit_offset(fitted)
+    before, after = judged(none), judged(offset)
+    size = mean_errors(before)
+    gain, error = paired_gain(loss(before / size), loss(after / size), judged.shots.recording)
+    return (offset * scale if gain > STANDARD_ERRORS * error else none), (gain, error)
 
 
 def fit_offset(shooting: Shooting) -> np.ndarray:
-    """The offset of the shown components that makes simulations fit best, in units of the scale."""
-    p = len(shooting.shown)
-    box = ParameterBox(np.ones(p), np.full(p, -LARGEST), np.full(p, LARGEST))
-    start = shooting.errors(np.zeros(p))
-    slopes = np.abs(jacobian(shooting.errors, np.zeros(p), start, box)).reshape(*start.shape, p).max((1, 2))
-    tame = replace(shooting, shots=shooting.shots[slopes < WILD])
-    size = usual(start[slopes < WILD], len(shooting.scale))
-    return gauss_newton(lambda x: tame.errors(x) / size, np.zeros(p), box, ITERATIONS).x
+    """The offset with which simulations fit best, in units of the scale, (s,)."""
+    x = np.zeros(len(shooting.scale))
+    errors = shooting(x)
+    size = mean_errors(errors)
+    for _ in range(ITERATIONS):
+        step = robust_step(errors / size, slopes(shooting, x) / size[:, None], x)
+        tried = [(loss(e / size).mean(), y, e) for f in LENGTHS for y in [x + f * step] for e in [shooting(y)]]
+        least, y, there = min(tried, key=lambda t: t[0])
+        if least >= loss(errors / size).mean():
+            break
+        x, errors = y, there
+    return x
 
 
-def usual(errors: np.ndarray, components: int) -> np.ndarray:
-    """What errors (n, T s) are divided by for Huber's loss to be linear beyond :data:`USUAL` mean errors, (T s,)."""
-    mean = np.abs(errors).reshape(-1, components).mean(0) + 1e-3
-    return np.tile(USUAL / HUBER * mean, errors.shape[1] // components)
+def slopes(shooting: Shooting, x: np.ndarray) -> np.ndarray:
+    """What errors change by with every component of the offset, (n, T, s, s)."""
+    moves = MOVED * np.eye(len(x))
+    return np.stack([(shooting(x + m) - shooting(x - m)) / (2 * MOVED) for m in moves], -1)
+
+
+def robust_step(z: np.ndarray, J: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Where to move an offset (s,), by errors (n, T, s) and their slopes (n, T, s, s), in mean errors."""
+    weights = (np.abs(z) < MANY) / np.maximum(np.abs(z), FEW) * (np.abs(J).max(-1) < WILD)
+    J, z, w = J.reshape(-1, len(x)), z.ravel(), weights.ravel() / len(z)
+    return -np.linalg.solve((J.T * w) @ J + PRIOR * np.eye(len(x)), (J.T * w) @ z + PRIOR * x)
+
+
+def loss(z: np.ndarray) -> np.ndarray:
+    """Of every simulation, (n,), by errors (n, T, s) in mean errors."""
+    return np.minimum(np.abs(z), MANY).mean((1, 2))
+
+
+def mean_errors(errors: np.ndarray) -> np.ndarray:
+    """Of every component, (s,), from errors (n, T, s)."""
+    return np.abs(errors).mean((0, 1)) + 1e-3

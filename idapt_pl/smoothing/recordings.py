@@ -42,6 +42,11 @@ class ReadRecording:
         """Its first control steps."""
         return ReadRecording(self.readings[: steps + 1], self.actions[:steps])
 
+    def without(self, offset: np.ndarray, begin: int) -> ReadRecording:
+        """With readings less an offset (s,) after the first ``begin`` control steps."""
+        later = np.arange(len(self.readings))[:, None] > begin
+        return ReadRecording(self.readings - later * offset, self.actions)
+
 
 def reading_model(task: Task, domain: Domain, readings: np.ndarray, states: np.ndarray) -> ReadingModel:
     """What to expect of readings, from frames whose states are known.

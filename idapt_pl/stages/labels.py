@@ -19,7 +19,7 @@ from idapt_pl.image_diagnosis.calibration import sub_episode, true_runs
 from idapt_pl.image_diagnosis.sensor import estimate_states
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
-from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model
+from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.encoder import translated
 from idapt_pl.worlds import Worlds
@@ -35,7 +35,7 @@ STARTS_WELL = 5
 
 def labelled_images(
     c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
-    F: ActionTransformation | None, pi: AsymmetricSAC,
+    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0,
 ) -> list[Path]:  # fmt: skip
     """Trajectory files with target-like images and states: source images through G, and the target's own by physics.
 
@@ -47,11 +47,12 @@ def labelled_images(
         G: shows source images as target images.
         F: what the source plays for an action of the target; None is the identity.
         pi: its encoder reads target images.
+        paired_steps: control steps from where episodes begin that G learned as pairs.
     """
     if not c.teacher.settings.rehearse:
         return []  # nothing learns from them
     known = translated(c, step, source, G)
-    return [known, *label_target(c, step, target, known, pi.estimator(G), F)]
+    return [known, *label_target(c, step, target, known, pi.estimator(G), F, paired_steps)]
 
 
 def label_target(
@@ -61,11 +62,13 @@ def label_target(
     known: Path,
     sensor: PixelStatePredictor,
     F: ActionTransformation | None = None,
+    paired_steps: int = 0,
 ) -> list[Path]:
     """``labelled.h5``: the target's recordings with the states that readings and physics agree on; none if it is off.
 
     Readings of single images are off in ways that no source image shows. But the same actions, played in the source,
-    say which of the states that are read can follow one another (:mod:`idapt_pl.smoothing`).
+    say which of the states that are read can follow one another (:mod:`idapt_pl.smoothing`). With ``labels.offsets``
+    they first say what is read wrong throughout (:mod:`idapt_pl.smoothing.offsets`).
 
     Args:
         c: of the run.
@@ -74,6 +77,8 @@ def label_target(
         known: trajectory file with target-like images whose states are known; says how wrong readings are at least.
         sensor: reads target images.
         F: what the source plays for an action of the target; None is the identity.
+        paired_steps: control steps from where episodes begin that G learned as pairs: there the sensor reads what the
+            source would do, so no offset is sought or taken away.
     """
     if not c.labels.members:
         return []
@@ -84,15 +89,27 @@ def label_target(
         data = read_all(target)
         return data, *smoother_of(c, data, known, sensor, F)
 
-    def factors(seed: int) -> dict:
+    def offsets(seed: int) -> dict:
         _, smooth, recordings, scale = prepared()
+        found, (gain, error) = reading_offsets(smooth.task, smooth.domain, recordings, scale, paired_steps)
+        log.info("offsets of readings, in spreads: %s (gain %.2g ± %.2g)", (found / scale).round(2), gain, error)
+        return {"offsets": found.tolist(), "spreads": scale.tolist(), "gain": gain, "standard_error": error}
+
+    @functools.cache
+    def corrected() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
+        data, smooth, recordings, scale = prepared()
+        return data, smooth, [r.without(np.array(offset), paired_steps) for r in recordings], scale
+
+    def factors(seed: int) -> dict:
+        _, smooth, recordings, scale = corrected()
         errors = smooth.forecast_errors(recordings, scale, seed)
         return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
 
     def make(seed: int) -> Trajectories:
-        data, smooth, recordings, _ = prepared()
+        data, smooth, recordings, _ = corrected()
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
+    offset = c.stages.measure(step, "reading_offsets", offsets)["offsets"] if c.labels.offsets else 0.0
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
     return [c.stages.record(step, "labelled", make)[0]]
 

@@ -77,11 +77,13 @@ class LabelSettings:
         members: simulations of the source that follow a recording, each a guess of the robot's state; 0 labels nothing.
         lag: control steps for which a state goes on being corrected by what is read later.
         known_start: the target's episodes begin as the source's do. Where a first reading says otherwise it counts.
+        offsets: whether readings are freed from what they are off by throughout, if forecasts tell it surely.
     """
 
     members: int = 0
     lag: int = 8
     known_start: bool = True
+    offsets: bool = False
 
     def __post_init__(self) -> None:
         check_ranges("labels", vars(self), {"members": COUNT_OR_NONE, "lag": Range(0, 1000)})

@@ -94,7 +94,10 @@ def test_methods_without_grounding_steps_have_results_and_do_not_move_the_scale(
         other_run(sweep, 21, "plain", 0, {}, method="source", result=900.0, direct_transfer=900.0),
         other_run(sweep, 22, "oracle", 0, {}, method="oracle", result=3200.0, oracle=3200.0, direct_transfer=None),
     ]
-    entries = [{"step": 0, "purpose": "oracle reference", "count": 70}, {"step": 0, "purpose": "evaluation", "count": 9}]
+    entries = [
+        {"step": 0, "purpose": "oracle reference", "count": 70},
+        {"step": 0, "purpose": "evaluation", "count": 9},
+    ]
     (folder.run(others[2].name) / "ledger.json").write_text(json.dumps({"entries": entries}))
     results = read_results([*mine, *others], statuses_of(folder, [*mine, *others]), folder)
     dr, plain, oracle = results[4:]
