@@ -161,8 +161,8 @@ def cell_scale(mine: Sequence[RunResult], settings: SweepSettings) -> CellScale:
     """What a cell's scores are measured in.
 
     Direct transfer is what ``references`` say, else the mean over the cell's runs that have a policy of the plain
-    source: of those that went on to ground it, if there are any, as others train it for longer. The reference is the oracle that
-    ``references`` say or that the runs trained, or IDAPT in the paper: first what ``normalise`` names.
+    source: of those that went on to ground it, if there are any, as others train it for longer. The reference is the
+    oracle that ``references`` say or that the runs trained, or IDAPT in the paper: first what ``normalise`` names.
 
     Args:
         mine: results of one cell.
@@ -170,8 +170,8 @@ def cell_scale(mine: Sequence[RunResult], settings: SweepSettings) -> CellScale:
     """
     run = mine[0].run
     given = settings.references.get(run.cell) or settings.references.get(f"{run.task}/{run.target}") or {}
-    plain = [r for r in mine if r.direct_transfer is not None]
-    direct = [r.direct_transfer for r in ([r for r in plain if r.steps] or plain)]
+    plain = [(r, r.direct_transfer) for r in mine if r.direct_transfer is not None]
+    direct = [v for r, v in plain if r.steps] or [v for _, v in plain]
     zero, zero_from = given.get("direct_transfer"), "by the sweep's references"
     if zero is None and direct:
         zero, zero_from = float(np.mean(direct)), f"mean of {len(direct)} runs"
