@@ -73,6 +73,11 @@ class MotionForecaster:
         for rival in rivals:
             self.start(coarse(rival))
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Where the leading explanation's model is at rest while the start's commands are held, (nq,)."""
+        return self.start(coarse(self.rivals[0])) if self.rivals else self.given
+
     def start(self, effects: Effects) -> np.ndarray:
         """Where a model is at rest while the start's commands are held, as measured, (nq,)."""
         if effects not in self._starts:

@@ -139,11 +139,16 @@ def force_ranges(model: mujoco.MjModel) -> np.ndarray:
     return np.where(limited, model.actuator_forcerange, [-np.inf, np.inf])
 
 
+def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator is told a position, whatever it moves and through whatever gear."""
+    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, 1]
+    return bool(bias) and bool(np.isclose(gain, -bias))
+
+
 def servo_dof(model: mujoco.MjModel, actuator: int) -> int | None:
     """The degree of freedom whose position an actuator commands one to one; None for motors and geared servos."""
-    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, 1]
     on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-    if not on_joint or not bias or not np.isclose(gain, -bias) or model.actuator_gear[actuator, 0] != 1.0:
+    if not on_joint or not is_servo(model, actuator) or model.actuator_gear[actuator, 0] != 1.0:
         return None
     joint = int(model.actuator_trnid[actuator, 0])
     return int(model.jnt_dofadr[joint]) if model.jnt_type[joint] >= 2 else None

@@ -112,7 +112,7 @@ def safety_section(design: MotionDesign) -> str:
 
 def playing_section(commands: str, forecaster: MotionForecaster) -> str:
     """How to play it and what to do with the recording."""
-    start = ", ".join(format_number(v) for v in forecaster.given)
+    start = ", ".join(format_number(v) for v in forecaster.rest)
     steps = (
         f"1. Bring the machine to rest at the start pose ({start}). Hold each row of {commands} until the next.",
         "2. Play it at least twice and record each play as an episode: one to fit, one to judge on.",

@@ -14,7 +14,7 @@ from idapt_pl.diagnosis.context import Progress
 from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.design import Goal, MotionDesign, MotionSearch
 from idapt_pl.excitation.forecast import MotionForecaster
-from idapt_pl.excitation.limits import ImpossibleMotion, MotionLimits, servo_dof
+from idapt_pl.excitation.limits import ImpossibleMotion, MotionLimits, is_servo
 from idapt_pl.excitation.motion import fourier_motion
 from idapt_pl.excitation.rivals import LeftOpen, Rival
 
@@ -95,12 +95,14 @@ def prepare_search(
     model = left_open.spec.copy().compile()
     dt = 1 / plan.control_rate if plan.control_rate else measurement.control_period
     pose = start_pose(model) if plan.start is None else plan.start
+    check_pose(model, pose)
     held = np.clip(holding_commands(model, pose), *plan.limits.command.T)
     around = np.tile(held, (max(2, round(plan.duration / dt)), 1)) if plan.base is None else plan.base
-    if len(around) < 3 * measurement.window_steps:
+    window = measurement.window_steps * measurement.control_period
+    if len(around) * dt < 3 * window:
         raise ImpossibleMotion(
-            f"a motion of {len(around)} control steps is too short: a diagnosis compares windows of "
-            f"{measurement.window_steps}; give a longer --duration"
+            f"a motion of {len(around) * dt:.3g} s is too short: a diagnosis compares windows of {window:.3g} s, and "
+            "three of them are the least; give a longer --duration"
         )
     fastest = min(0.15 / dt, 3.0) if plan.fastest is None else plan.fastest
     motion = fourier_motion(around, plan.limits.command, dt, fastest, plan.seed)
@@ -122,13 +124,56 @@ def start_pose(model: mujoco.MjModel) -> np.ndarray:
     return pose
 
 
+def check_pose(model: mujoco.MjModel, pose: np.ndarray) -> None:
+    """A pose must be one that the model can be in.
+
+    Raises:
+        ImpossibleMotion: naming the joint.
+    """
+    if not np.isfinite(pose).all():
+        raise ImpossibleMotion(f"--start is {' '.join(f'{v:g}' for v in pose)}; expected {model.nq} finite numbers")
+    for j in np.flatnonzero(model.jnt_limited & (model.jnt_type >= 2)):
+        value, (low, high) = pose[model.jnt_qposadr[j]], model.jnt_range[j]
+        if not low <= value <= high:
+            raise ImpossibleMotion(
+                f"--start puts joint {model.joint(j).name or j} at {value:.3g}; its range is {low:.3g} to {high:.3g}"
+            )
+
+
 def holding_commands(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:
-    """Commands that hold a pose: its positions for servos, nothing for motors, (nu,)."""
-    held = np.zeros(model.nu)
-    for i in range(model.nu):
-        if (v := servo_dof(model, i)) is not None:
-            held[i] = pose[model.jnt_qposadr[model.dof_jntid[v]]]
+    """Commands that hold a pose, (nu,): its positions, through their gears, for servos; for motors what weighs on them.
+
+    The latter by inverse dynamics, as near as the motors come to it. Other actuators are told nothing.
+    """
+    data, held = mujoco.MjData(model), np.zeros(model.nu)
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    lengths, moments = data.actuator_length.copy(), moment_arms(model, data)
+    data.qacc[:] = 0
+    mujoco.mj_inverse(model, data)
+    gain = model.actuator_gainprm[:, 0]
+    servos = np.array([is_servo(model, i) for i in range(model.nu)], bool)
+    held[servos] = lengths[servos]
+    motors = np.flatnonzero(is_motor(model))
+    if len(motors):
+        forces = np.linalg.lstsq(moments[motors].T, data.qfrc_inverse, rcond=None)[0]
+        held[motors] = forces / gain[motors]
     return held
+
+
+def is_motor(model: mujoco.MjModel) -> np.ndarray:
+    """Which actuators turn a command into a force, at once and by a fixed gain, (nu,)."""
+    at_once = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
+    fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    unbiased = model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE
+    return np.asarray(at_once & fixed & unbiased & (model.actuator_gainprm[:, 0] != 0))
+
+
+def moment_arms(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """What a unit of every actuator's force does at every degree of freedom, (nu, nv)."""
+    arms = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return arms
 
 
 def affordable_motions(forecaster: MotionForecaster, rivals: Sequence[Rival], steps: int, seconds: float) -> int:

@@ -107,7 +107,7 @@ def motion_entry(
         "goal": plan.goal.value,
         "control_period_s": forecaster.dt,
         "steps": len(design.commands),
-        "start_qpos": [float(v) for v in forecaster.given],
+        "start_qpos": [float(v) for v in forecaster.rest],
         "explanations": [
             {"name": r.name, "standing": r.standing.value, "effects": [e.to_dict() for e in r.effects]} for r in rivals
         ],

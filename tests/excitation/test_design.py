@@ -1,5 +1,6 @@
 """The search finds safe motions, the same ones for the same seed, or says why there are none."""
 
+import mujoco
 import numpy as np
 import pytest
 from arms import DAMPING, FORCE, FRICTION, OFFSET, RAIL, SERVO, compiled, left_open, quick_plan
@@ -72,6 +73,41 @@ def test_a_servo_is_held_at_the_first_keyframe():
     assert start_pose(keyed) == pytest.approx([0.4]) and holding_commands(keyed, start_pose(keyed)) == [0.4]
     offside = compiled(SERVO.replace('range="-2 2"', 'range="0.3 2"'))
     assert start_pose(offside) == pytest.approx([0.3])
+
+
+HELD = """
+<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+  <body><joint name="yaw" axis="0 0 1" damping="1" armature="0.1"/><geom size="0.1" pos="0.3 0 0" mass="1"/>
+    <body pos="0.4 0 0"><joint name="lift" type="slide" axis="0 0 1" damping="5"/>
+      <geom size="0.05" mass="2"/></body></body></worldbody>
+  <actuator><position name="servo" joint="yaw" gear="40" kp="0.05" kv="0.005"/>
+    <motor name="hoist" joint="lift" gear="4"/></actuator>
+</mujoco>"""
+
+
+def test_geared_servos_are_held_through_their_gear_and_motors_against_the_weight():
+    model = compiled(HELD)
+    held = holding_commands(model, np.array([0.5, 0.2]))
+    assert held == pytest.approx([20.0, 2 * 9.81 / 4])
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = [0.5, 0.2], held
+    mujoco.mj_step(model, data, 1000)
+    assert data.qpos == pytest.approx([0.5, 0.2], abs=1e-3), "it stays where it is"
+    hanging = compiled(HELD.replace('axis="0 0 1" damping="5"', 'axis="1 0 0" damping="5"'))
+    assert holding_commands(hanging, np.zeros(2))[1] == pytest.approx(0), "nothing weighs on it"
+
+
+@pytest.mark.parametrize(("start", "words"), [([np.nan], "expected 1 finite numbers"), ([3.0], "its range is -2 to 2")])
+def test_a_start_that_cannot_be_is_refused(start, words):
+    with pytest.raises(ImpossibleMotion, match=words):
+        designed(DAMPING, FRICTION, start=np.array(start))
+
+
+def test_the_start_that_is_told_is_where_the_model_rests():
+    """Under its weight the rod sinks from the pose that was asked for, and that is where it begins."""
+    _, rivals, forecaster = designed(DAMPING, FRICTION, start=np.array([0.3]), duration=3.0)
+    assert forecaster.given == [0.3] and 0.305 < forecaster.rest[0] < 0.33
+    assert forecaster.rest == forecaster.start(rivals[0].effects)
 
 
 def test_recorded_commands_are_the_base_of_a_motion(tmp_path):
