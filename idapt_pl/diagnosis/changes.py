@@ -33,7 +33,10 @@ LEVEL = 0.01
 """Share of recordings of what is constant in which a change is reported, over all parameters and kinds of change."""
 
 LEAST_CHANGE = 0.1
-"""Of the parameter's size (or, near 0, of its scale) that a change must come to."""
+"""Of the parameter's size that a change must come to; and of its scale, if it explains little of what is left."""
+
+MUCH_LEFT = 0.2
+"""Squared error above the noise, in times of the noise's, that something must be left of for its share to tell."""
 
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
@@ -293,11 +296,13 @@ def describe(
         )
     low, high = (float(b[k]) for b in c.bounds())
     ends = np.clip(ends, low, high)
-    if abs(ends[1] - ends[0]) < LEAST_CHANGE * max(abs(value), abs(value - c.nominal[k]), c.scale[k]):
-        return None
     removable = max(float(np.minimum(np.square(z), 36).sum()) - z.size, 1e-9)
     gain = float(np.square(w.score @ f) / (w.information @ np.square(f)))
     gain += w.constant**2 * float(w.information.sum()) * (t.accepted is None)
+    change, size = abs(ends[1] - ends[0]), max(abs(value), abs(value - c.nominal[k]))
+    matters = change > LEAST_CHANGE * c.scale[k] or gain > MOST_OF_REST * max(removable, MUCH_LEFT * z.size)
+    if change < LEAST_CHANGE * size or not matters:
+        return None
     first, last = (float(f"{e:.4g}") for e in ends)
     return ChangeFinding(
         effect=c.kind.name,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -25,16 +26,35 @@ HEADLINES = {
     Verdict.INSUFFICIENT_EXCITATION: "These recordings cannot tell",
 }
 
+GOOD_ENOUGH = 1.3
+"""Errors, in times of what is unavoidable, up to which nothing more is asked for."""
+
+MOST_OF_IT = 0.5
+"""Share of what is left that a change must account for to be called what the model lacks."""
+
 
 def headline(result: DiagnosisResult) -> str:
     """The verdict in a few words."""
     if quick_and_unexplained(result):
         return "Something is missing that a quick look does not explain"
+    if rest := rest_explained_by(result):
+        law = "A law of force was learned for what no known effect explains"
+        return {"law": law, "change": "What the model lacks does not stay the same"}[rest]
     if result.verdict is Verdict.UNEXPLAINED_RESIDUAL and result.effects:
         return "Something is still missing that no known effect explains"
     if result.verdict is Verdict.NO_MISSING_EFFECT and result.effects:
         return "No effect is missing, but other numerics fit better"
     return HEADLINES[result.verdict]
+
+
+def rest_explained_by(result: DiagnosisResult) -> Literal["law", "change", ""]:
+    """What explains what is left by known effects that stay the same: a law of force, a change; or nothing does."""
+    if result.verdict is not Verdict.UNEXPLAINED_RESIDUAL:
+        return ""
+    if result.laws is not None and result.laws.found and result.laws.after < GOOD_ENOUGH:
+        return "law"
+    changing = result.changes.found if result.changes is not None else ()
+    return "change" if any(f.removed_share >= MOST_OF_IT for f in changing) else ""
 
 
 def quick_and_unexplained(result: DiagnosisResult) -> bool:
@@ -79,7 +99,7 @@ def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) ->
     level = f"The error is {format_number(result.error.after)} times {result.error.yardstick}"
     good = (
         "; 1 is as good as can be."
-        if result.error.after < 1.3
+        if result.error.after < GOOD_ENOUGH
         else ", but neither state nor commands predict the rest."
     )
     none = "none of the effects tried makes the predictions of episodes not used for fitting better than chance would."

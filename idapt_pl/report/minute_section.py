@@ -9,7 +9,7 @@ import mujoco
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
-from idapt_pl.report.diagnosis_wording import nominal_in_words, quick_and_unexplained
+from idapt_pl.report.diagnosis_wording import nominal_in_words, quick_and_unexplained, rest_explained_by
 from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
 from idapt_pl.report.html import row, section, table
 
@@ -22,6 +22,19 @@ ANSWERS = {
     Verdict.UNEXPLAINED_RESIDUAL: "No, and it is not known in full why.",
     Verdict.INSUFFICIENT_EXCITATION: "These recordings cannot tell.",
 }
+OF_THE_REST = {
+    "law": (
+        "No, but a law of force that was learned repairs it: see below.",
+        "Simulate with effects.yaml, which has the law as patched.xml cannot, and look for its cause where it acts.",
+    ),
+    "change": (
+        "No: what it lacks changes while the machine is recorded.",
+        "Find out why it changes (Does it change while it is recorded?). No one value is right for all recordings: "
+        "diagnose those of each state alone, or keep the state the same.",
+    ),
+}
+"""Answer and action where a law, or a change, explains what known effects that stay the same do not."""
+
 AFTER_A_QUICK_LOOK = "Run the whole diagnosis, without --quick."
 ACTIONS = {
     Verdict.EFFECTS_FOUND: "Check the values on the machine (What to do next), then use patched.xml in place of the "
@@ -41,12 +54,14 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
         sim: with the recordings.
         warnings: what else is known of the recordings, a few words each.
     """
+    rest = rest_explained_by(result)
+    answer, action = OF_THE_REST[rest] if rest else (ANSWERS[result.verdict], ACTIONS[result.verdict])
     rows = [
-        ("Does the model move like the machine?", ANSWERS[result.verdict]),
+        ("Does the model move like the machine?", answer),
         ("What is different?", differences_in_words(result, sim.model)),
         ("How much does that matter?", matter_in_words(result)),
         ("How sure is it?", sureness_in_words(result, sim)),
-        ("What to do now?", AFTER_A_QUICK_LOOK if quick_and_unexplained(result) else ACTIONS[result.verdict]),
+        ("What to do now?", AFTER_A_QUICK_LOOK if quick_and_unexplained(result) else action),
     ]
     if result.not_tried:
         rows.append(("What was not tried?", f"This was a quick look, without {', '.join(result.not_tried)}."))

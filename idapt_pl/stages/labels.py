@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from datamodules import Episode, Trajectories
+from datamodules import Episode, Trajectories, read_trajectories
 from datamodules.stacks import FrameStacks
 from datamodules.unpaired import read_all
 from idapt_pl.image_diagnosis.calibration import sub_episode, true_runs
@@ -91,14 +91,13 @@ def label_target(
 
     def offsets(seed: int) -> dict:
         _, smooth, recordings, scale = prepared()
-        found, (gain, error) = reading_offsets(smooth.task, smooth.domain, recordings, scale, paired_steps)
-        log.info("offsets of readings, in spreads: %s (gain %.2g ± %.2g)", (found / scale).round(2), gain, error)
-        return {"offsets": found.tolist(), "spreads": scale.tolist(), "gain": gain, "standard_error": error}
+        return offsets_of_files(target, smooth, recordings, scale, paired_steps)
 
     @functools.cache
     def corrected() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
         data, smooth, recordings, scale = prepared()
-        return data, smooth, [r.without(np.array(offset), paired_steps) for r in recordings], scale
+        pairs = zip(recordings, found, strict=True) if found else ()
+        return data, smooth, [r.without(np.array(o), paired_steps) for r, o in pairs] or recordings, scale
 
     def factors(seed: int) -> dict:
         _, smooth, recordings, scale = corrected()
@@ -109,9 +108,37 @@ def label_target(
         data, smooth, recordings, _ = corrected()
         return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
 
-    offset = c.stages.measure(step, "reading_offsets", offsets)["offsets"] if c.labels.offsets else 0.0
+    told = c.stages.measure(step, "reading_offsets", offsets)["files"] if c.labels.offsets else ()
+    found = [file["offset"] for file in told for _ in range(file["episodes"])]
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
     return [c.stages.record(step, "labelled", make)[0]]
+
+
+def offsets_of_files(
+    target: Sequence[Path],
+    smooth: RecordingSmoother,
+    recordings: Sequence[ReadRecording],
+    scale: np.ndarray,
+    begin: int,
+) -> dict:
+    """What is read too much throughout each file, as ``reading_offsets.json`` has it: each policy has its own poses.
+
+    Args:
+        target: trajectory files.
+        smooth: has the source's physics.
+        recordings: all of them, as a sensor reads them, in order.
+        scale: spread of every component of a state, (s,).
+        begin: control steps of each recording that are not looked at.
+    """
+    found, ahead = [], list(recordings)
+    for path in target:
+        count = len(read_trajectories(path).episodes)
+        mine, ahead = ahead[:count], ahead[count:]
+        offset, (gain, error) = reading_offsets(smooth.task, smooth.domain, mine, scale, begin)
+        told = np.array2string(offset / scale, precision=2, suppress_small=True, max_line_width=1000)
+        log.info("%s  offsets of readings, in spreads: %s (gain %.2g ± %.2g)", path.parent.name, told, gain, error)
+        found.append({"episodes": count, "offset": offset.tolist(), "gain": gain, "standard_error": error})
+    return {"files": found, "spreads": scale.tolist()}
 
 
 def smoother_of(

@@ -14,6 +14,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
+from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.law_result import LawFinding, LawReport
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.repaired import repair_model
 from idapt_pl.diagnosis.result import (
@@ -28,7 +30,7 @@ from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.report.diagnosis_wording import episode_list, headline, verdict_in_words
+from idapt_pl.report.diagnosis_wording import episode_list, headline, rest_explained_by, verdict_in_words
 
 NOMINAL, HIDDEN = 0.01, 0.06
 
@@ -342,6 +344,22 @@ def test_a_quick_look_does_not_say_that_nothing_known_explains_the_rest():
     result = made_result("unexplained_residual", [FRICTION])
     assert headline(result) == "Something is still missing that no known effect explains"
     assert headline(replace(result, not_tried=("laws",))) == "Something is missing that a quick look does not explain"
+
+
+def test_what_a_law_or_a_change_explains_is_not_called_unexplained():
+    unexplained = made_result("unexplained_residual", [FRICTION])
+    law = LawFinding("shoulder", "-a*max(v, 0)", "-0.5 max(v, 0)", "N·m", {}, ("v",), 0.9, ())
+    found = LawReport(3.0, 1.0, [law], None, (), (), "", 2.0)
+    change = ChangeFinding("actuator_gain", "*", "gain", "1", "drift_over", 1.0, 0.7, None, None, 0.001, 0.9, ())
+    for rest, said in (
+        ("law", replace(unexplained, laws=found)), ("change", replace(unexplained, changes=ChangeReport(3, [change]))),
+        ("", unexplained), ("", replace(unexplained, laws=replace(found, after=2.0))),
+        ("", replace(unexplained, changes=ChangeReport(3, [replace(change, removed_share=0.2)]))),
+        ("", replace(made_result("effects_found", [FRICTION]), changes=ChangeReport(3, [change]))),
+    ):  # fmt: skip
+        assert rest_explained_by(said) == rest
+        assert headline(said).startswith("A law of force was learned") == (rest == "law")
+        assert (headline(said) == "What the model lacks does not stay the same") == (rest == "change")
 
 
 # --- bad input ------------------------------------------------------------------------------------------
