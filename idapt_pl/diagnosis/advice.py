@@ -9,6 +9,11 @@ from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 
 
+HARDLY = 0.1
+"""Differences of two predictions, in standard deviations of the noise, that larger motions of the same kind do not make
+much of."""
+
+
 def next_experiment(context: SearchContext, state: SearchState, verdict: Verdict) -> str:
     """What to record next, in words; empty where nothing would help."""
     if verdict is Verdict.INSUFFICIENT_EXCITATION:
@@ -36,11 +41,17 @@ def separating_recording(context: SearchContext, state: SearchState, effect: Acc
     k = int(np.argmax(np.square(np.clip(a - b, -50, 50)).sum(1)))
     r, s = sim.data[windows.episode[k]], windows.start[k]
     usual_speed = np.sqrt(np.mean(np.square(np.concatenate([d.qvel for d in sim.data])), 0)) + 1e-9
+    apart = float(np.sqrt(np.square(a[k] - b[k]).mean()))
+    if apart < HARDLY:
+        return (
+            f"no recording like these will do: nowhere do the two predictions differ by more than {apart:.2g} sigma. "
+            "`idapt excite` looks for a motion that tells them apart, or says that there is none."
+        )
     joint = sim.channels[int(np.argmax(np.abs(r.qvel[s]) / usual_speed))]
     commands = np.round(r.actions[s : s + windows.offsets[-1]].mean(0), 3).tolist()
     return (
         f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two "
-        f"predictions differ by {np.sqrt(np.square(a[k] - b[k]).mean()):.2g} sigma, with larger amplitudes."
+        f"predictions differ by {apart:.2g} sigma, with larger amplitudes."
     )
 
 

@@ -50,5 +50,8 @@ def with_probability(e: EffectEstimate, probability: float | None) -> EffectEsti
 
 
 def without_laws_on(laws: LawReport | None, joints: set[str]) -> LawReport | None:
-    """What a search for laws came to, less laws on some joints."""
-    return None if laws is None else replace(laws, found=[f for f in laws.found if f.joint not in joints])
+    """What a search for laws came to, less laws on some joints; where none is left, nothing that they changed."""
+    if laws is None or not joints:
+        return laws
+    left = [f for f in laws.found if f.joint not in joints]
+    return replace(laws, found=left) if left else replace(laws, found=left, needless=(), after=laws.before)

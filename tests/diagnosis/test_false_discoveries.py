@@ -10,9 +10,10 @@ from arm import ARM, found, record
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.diagnosis.claims import claim
+from idapt_pl.diagnosis.claims import claim, without_laws_on
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
 from idapt_pl.diagnosis.false_discoveries import effect_probabilities, nameable
+from idapt_pl.diagnosis.law_result import LawFinding, LawReport
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.effects.learned import LearnedForce
@@ -117,6 +118,16 @@ def test_the_command_names_by_rate_and_says_what_it_left_out(tmp_path, capsys):
     assert "Not named" in (out / "report.html").read_text()
     patched = mujoco.MjModel.from_xml_path(str(out / "patched.xml"))
     assert patched.dof_damping[0] == pytest.approx(0.05)
+
+
+def test_a_law_that_is_not_named_makes_nothing_needless():
+    law = LawFinding("shoulder", "-a*v", "-0.5 v", "N·m", {}, ("v",), 0.9, ())
+    laws = LawReport(3.0, 1.0, [law, replace(law, joint="elbow")], None, ["joint_damping(shoulder)"], (), "", 2.0)
+    assert without_laws_on(laws, set()) == laws and without_laws_on(None, {"elbow"}) is None
+    one = without_laws_on(laws, {"elbow"})
+    assert [f.joint for f in one.found] == ["shoulder"] and one.needless == laws.needless
+    none = without_laws_on(laws, {"elbow", "shoulder"})
+    assert (list(none.found), list(none.needless), none.after) == ([], [], laws.before)
 
 
 @pytest.mark.parametrize("rate", ["0", "1", "1.5", "nan"])
