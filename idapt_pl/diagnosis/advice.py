@@ -8,7 +8,6 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 
-
 HARDLY = 0.1
 """Differences of two predictions, in standard deviations of the noise, that larger motions of the same kind do not make
 much of."""

@@ -25,8 +25,8 @@ SECONDS, STEPS_LEAST = 0.13, 3
 """How long a simulation goes on from what was read, and control steps at least. Sooner, offsets hardly tell; later, the
 errors of single readings have grown too much."""
 
-STRIDE, MOST = 3, 360
-"""Control steps from one beginning to the next, and beginnings at most."""
+MOST = 360
+"""Simulations at most, whose beginnings are spread over the recordings."""
 
 MOVED = 0.1
 """Units of the states' spread by which an offset is moved to see what that does."""
@@ -68,9 +68,12 @@ class Shots:
         return Shots(self.readings[rows], self.actions[rows], self.recording[rows])
 
 
-def shots_of(recordings: Sequence[ReadRecording], begin: int, steps: int) -> Shots:
-    """Stretches of so many control steps, evenly over all recordings, each of them from step ``begin`` on."""
-    at = [(k, t) for k, r in enumerate(recordings) for t in range(begin, len(r) - steps + 1, STRIDE)]
+def shots_of(recordings: Sequence[ReadRecording], begin: int, steps: int, stride: int = 1) -> Shots:
+    """Stretches of so many control steps, evenly over all recordings, each of them from step ``begin`` on.
+
+    One begins ``stride`` control steps after the other, or later where there are many.
+    """
+    at = [(k, t) for k, r in enumerate(recordings) for t in range(begin, len(r) - steps + 1, stride)]
     at = [at[i] for i in np.unique(np.linspace(0, len(at) - 1, MOST).astype(int))] if at else []
     empty = np.zeros((0, 0, 0))
     return Shots(
@@ -134,7 +137,9 @@ def reading_offsets(
     """
     none = np.zeros(len(scale))
     steps = max(STEPS_LEAST, round(SECONDS / task.period(domain.compile())))
-    fitted, judged = (Shooting(task, domain, shots_of(recordings[first::2], begin, steps), scale) for first in (0, 1))
+    apart = shots_of(recordings[1::2], begin, steps, stride=steps)  # so that their noise is independent
+    fitted = Shooting(task, domain, shots_of(recordings[::2], begin, steps), scale)
+    judged = Shooting(task, domain, apart, scale)
     if len(fitted.shots) < len(none) or len(np.unique(judged.shots.recording)) < 2:
         return none, (0.0, 0.0)
     offset = fit_offset(fitted)
