@@ -88,9 +88,13 @@ def scores_of(z: np.ndarray, others: Sequence[np.ndarray], own: np.ndarray, clus
     constant = -float(column @ left) / max(float(column @ column), 1e-300)
     score = (column * (left + constant * column)).reshape(len(z), -1).sum(1)
     information = np.square(column).reshape(len(z), -1).sum(1) + 1e-12
+    return WindowScores(score, information, constant, dispersion_of(score, information, clusters))
+
+
+def dispersion_of(score: np.ndarray, information: np.ndarray, clusters: np.ndarray) -> float:
+    """How many times as large as by their information squared scores are, at least 1: by the median over clusters."""
     sums = np.array([[x[clusters == c].sum() for x in (score, information)] for c in np.unique(clusters)])
-    dispersion = max(1.0, float(np.median(sums[:, 0] ** 2 / sums[:, 1]) / 0.455))
-    return WindowScores(score, information, constant, dispersion)
+    return max(1.0, float(np.median(sums[:, 0] ** 2 / sums[:, 1]) / 0.455))
 
 
 def time_shapes(at: WindowTimes) -> Iterator[TimeShape]:

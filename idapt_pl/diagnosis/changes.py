@@ -15,6 +15,7 @@ from idapt_pl.diagnosis.change_statistics import (
     WindowScores,
     WindowTimes,
     constancy_test,
+    dispersion_of,
     scores_of,
     time_clusters,
     time_shapes,
@@ -316,7 +317,9 @@ def describe(
         episode=None if s.episode < 0 else s.episode,
         p=p,
         removed_share=round(min(gain / removable, 1.0), 4),
-        series=series_of(at, w, s, value),
+        series=series_of(
+            at, w, s, value, dispersion_of(w.score + slope * f * w.information, w.information, at.episode)
+        ),
     )
 
 
@@ -334,8 +337,10 @@ def refit_alone(
     return float(context.fit(split[chosen], rest.effects, [one], [np.array([guess])], 3).x[0][0])
 
 
-def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> list[tuple[float, float, float]]:
-    """Values in stretches: of time in the episode, or episode by episode."""
+def series_of(
+    at: WindowTimes, w: WindowScores, s: TimeShape, value: float, dispersion: float
+) -> list[tuple[float, float, float]]:
+    """Values in stretches: of time in the episode, or episode by episode; ``dispersion`` is that around the shape."""
     bins = at.episode.astype(float)
     places = np.unique(bins)
     if "within" in s.kind:
@@ -347,6 +352,6 @@ def series_of(at: WindowTimes, w: WindowScores, s: TimeShape, value: float) -> l
         rows = bins == b
         information = float(w.information[rows].sum())
         where = float(at.time[rows].mean()) if "within" in s.kind else float(b)
-        half = 1.96 * np.sqrt(w.dispersion / information)
+        half = 1.96 * np.sqrt(dispersion / information)
         out.append((round(where, 4), value - float(w.score[rows].sum()) / information, float(half)))
     return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
 from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
@@ -68,6 +69,10 @@ def change_figure(f: ChangeFinding) -> Figure:
         axis.step((ends[0], step, ends[1]), (f.first, f.last, f.last), where="post", color=AFTER, lw=1.6)
     elif f.kind in ("drift_within", "drift_over"):
         axis.plot(ends, (f.first, f.last), color=AFTER, lw=1.6)
+    elif f.kind == "decay_within" and f.at:
+        time = np.linspace(*ends, 60)
+        left = np.exp(-time / f.at)
+        axis.plot(time, f.last + (f.first - f.last) * (left - left[-1]) / (left[0] - left[-1]), color=AFTER, lw=1.6)
     axis.set_xlabel("time in the episode (s)" if "within" in f.kind else "episode")
     unit = f" ({f.unit})" if f.unit not in ("", "1") else ""
     axis.set_title(escape_mathtext(f"{f.parameter} of {f.effect} at {f.target}{unit}"), loc="left", fontsize=10)

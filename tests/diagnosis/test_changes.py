@@ -40,6 +40,9 @@ def test_a_damping_that_rises_between_episodes_is_found_with_its_values():
     ]
     assert (found[0].first, found[0].last) == pytest.approx((0.05, 0.08), rel=0.1) and found[0].p < 0.05
     assert found[0].episode == 5
+    values, halves = np.array(found[0].series)[:, 1:].T
+    assert values[:5] == pytest.approx(0.05, abs=0.005) and values[5:] == pytest.approx(0.08, abs=0.005)
+    assert halves.max() < 0.01, "intervals are of what is around the change, not of the change"
 
 
 def test_where_nothing_changes_nothing_is_found():
