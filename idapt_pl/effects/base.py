@@ -110,10 +110,12 @@ def effect_from_dict(entry: Mapping[str, Any]) -> Effect:
     try:
         return EFFECTS[name](target=entry.get("target", "*"), **entry.get("parameters", {}))
     except TypeError:
-        known = [f.name for f in dataclasses.fields(EFFECTS[name]) if f.name != "target"]
-        raise ValueError(
-            f"effect {name!r}: parameters must be among {known}, got {sorted(entry.get('parameters', {}))}"
-        ) from None
+        known = {f.name: f for f in dataclasses.fields(EFFECTS[name]) if f.name != "target"}
+        given = sorted(entry.get("parameters") or {})
+        lacking = [k for k, f in known.items() if f.default is dataclasses.MISSING and k not in given]
+        if lacking and set(given) <= set(known):
+            raise ValueError(f"effect {name!r}: {', '.join(lacking)} is missing; got {given}") from None
+        raise ValueError(f"effect {name!r}: parameters must be among {list(known)}, got {given}") from None
 
 
 def find_elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:

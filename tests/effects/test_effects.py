@@ -376,6 +376,8 @@ def test_texture_paints_the_sky_once_even_if_applied_twice():
     ("entry", "message"),
     [
         ({"effect": "body_masss", "target": "block"}, "unknown effect 'body_masss'.*body_mass, "),
+        ({"effect": "body_mass", "target": "block", "parameters": None}, r"mass is missing; got \[\]"),
+        ({"effect": "learned_force", "target": "block", "parameters": {"a": 1}}, r"expression is missing; got \['a'\]"),
         (
             {"effect": "body_mass", "target": "block", "parameters": {"kg": 3}},
             r"among \['mass'\], got \['kg'\]",
