@@ -16,6 +16,12 @@ from idapt_pl.sweep.summaries import THRESHOLDS, Row
 METHOD_COLOURS = ("#1f77b4", "#d1495b", "#2f7d3b", "#8e5ea2", "#c98b1a", "#4a4a4a", "#17a2a2", "#a55a3c")
 """Of the methods, in the order of the YAML."""
 
+LINES = ("-", "--", ":", "-.")
+"""Of their curves: the first for as many as there are colours, then the next."""
+
+LEVEL = 4
+"""Methods whose names stand beside each other below a panel; those of more are turned."""
+
 
 def colour_of(methods: Sequence[str]) -> dict[str, str]:
     """A colour for each method."""
@@ -33,7 +39,8 @@ def cells_figure(cells: Mapping[str, Sequence[RunResult]], paper: Mapping[str, f
     colours, columns = colour_of(methods), min(3, len(cells))
     rows = math.ceil(len(cells) / columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 0.6 + 2.5 * rows), layout="constrained")
+        height = 2.5 if len(methods) <= LEVEL else 3.2
+        figure = Figure(figsize=(8.6, 0.6 + height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for axis, (cell, mine) in zip(axes, cells.items(), strict=False):
             for i, method in enumerate(methods):
@@ -48,7 +55,8 @@ def cells_figure(cells: Mapping[str, Sequence[RunResult]], paper: Mapping[str, f
             if oracles:
                 axis.axhline(float(np.mean(oracles)), color=REFERENCE, ls="--", lw=1.4)
             axis.set_title(escape_mathtext(cell), loc="left", fontsize=10)
-            axis.set_xticks(range(len(methods)), [escape_mathtext(m) for m in methods], fontsize=8.5)
+            turned = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if len(methods) > LEVEL else {}
+            axis.set_xticks(range(len(methods)), [escape_mathtext(m) for m in methods], fontsize=8.5, **turned)
             axis.set_xlim(-0.6, len(methods) - 0.4)
             axis.set_ylabel(mine[0].metric)
             axis.grid(axis="x", visible=False)
@@ -83,8 +91,9 @@ def profiles_figure(profiles: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndar
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.2), layout="constrained")
         axis = figure.subplots()
-        for method, (share, low, high) in profiles.items():
-            axis.step(THRESHOLDS, share, where="post", color=colours[method], lw=1.8, label=escape_mathtext(method))
+        for i, (method, (share, low, high)) in enumerate(profiles.items()):
+            look = {"color": colours[method], "ls": LINES[i // len(METHOD_COLOURS) % len(LINES)], "lw": 1.8}
+            axis.step(THRESHOLDS, share, where="post", label=escape_mathtext(method), **look)
             if banded:
                 axis.fill_between(THRESHOLDS, low, high, step="post", color=colours[method], alpha=0.15, lw=0)
         axis.set_xlabel("score")
