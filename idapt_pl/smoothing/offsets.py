@@ -126,7 +126,8 @@ def reading_offsets(
 ) -> tuple[np.ndarray, tuple[float, float]]:
     """What is read too much of every component, (s,), and what that gains in recordings that it was not fitted to.
 
-    Zeros where it does not surely make forecasts better there. The gain is in mean errors, with its standard error.
+    Each half of the recordings is judged by what the other was fitted to, and the mean of both counts: zeros where they
+    do not surely make forecasts better. The gain is in mean errors, with its standard error.
 
     Args:
         task: of the robot; tells positions and velocities from states.
@@ -137,16 +138,22 @@ def reading_offsets(
     """
     none = np.zeros(len(scale))
     steps = max(STEPS_LEAST, round(SECONDS / task.period(domain.compile())))
-    apart = shots_of(recordings[1::2], begin, steps, stride=steps)  # so that their noise is independent
-    fitted = Shooting(task, domain, shots_of(recordings[::2], begin, steps), scale)
-    judged = Shooting(task, domain, apart, scale)
-    if len(fitted.shots) < len(none) or len(np.unique(judged.shots.recording)) < 2:
+    halves = recordings[::2], recordings[1::2]
+    fitted = [Shooting(task, domain, shots_of(half, begin, steps), scale) for half in halves]
+    apart = [Shooting(task, domain, shots_of(half, begin, steps, stride=steps), scale) for half in halves]
+    if min(len(shooting.shots) for shooting in fitted) < len(none):
         return none, (0.0, 0.0)
-    offset = fit_offset(fitted)
-    before, after = judged(none), judged(offset)
-    size = mean_errors(before)
-    gain, error = paired_gain(loss(before / size), loss(after / size), judged.shots.recording)
-    return (offset * scale if gain > STANDARD_ERRORS * error else none), (gain, error)
+    offsets = [fit_offset(shooting) for shooting in fitted]
+    before, after, clusters = [], [], []
+    for first, (judged, offset) in enumerate(zip(reversed(apart), offsets, strict=True)):
+        without, with_it = judged(none), judged(offset)
+        size = mean_errors(without)
+        before.append(loss(without / size))
+        after.append(loss(with_it / size))
+        clusters.append(2 * judged.shots.recording + first)
+    gain, error = paired_gain(*(np.concatenate(parts) for parts in (before, after, clusters)))
+    found = np.mean(offsets, 0) * scale
+    return (found if gain > STANDARD_ERRORS * error else none), (gain, error)
 
 
 def fit_offset(shooting: Shooting) -> np.ndarray:
@@ -155,7 +162,7 @@ def fit_offset(shooting: Shooting) -> np.ndarray:
     errors = shooting(x)
     size = mean_errors(errors)
     for _ in range(ITERATIONS):
-        step = robust_step(errors / size, slopes(shooting, x) / size[:, None], x)
+        step = robust_step(errors / size, slopes(shooting, x, errors) / size[:, None], x)
         tried = [(loss(e / size).mean(), y, e) for f in LENGTHS for y in [x + f * step] for e in [shooting(y)]]
         least, y, there = min(tried, key=lambda t: t[0])
         if least >= loss(errors / size).mean():
@@ -164,10 +171,9 @@ def fit_offset(shooting: Shooting) -> np.ndarray:
     return x
 
 
-def slopes(shooting: Shooting, x: np.ndarray) -> np.ndarray:
-    """What errors change by with every component of the offset, (n, T, s, s)."""
-    moves = MOVED * np.eye(len(x))
-    return np.stack([(shooting(x + m) - shooting(x - m)) / (2 * MOVED) for m in moves], -1)
+def slopes(shooting: Shooting, x: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """What errors (n, T, s) change by with every component of the offset, (n, T, s, s)."""
+    return np.stack([(shooting(x + move) - errors) / MOVED for move in MOVED * np.eye(len(x))], -1)
 
 
 def robust_step(z: np.ndarray, J: np.ndarray, x: np.ndarray) -> np.ndarray:
