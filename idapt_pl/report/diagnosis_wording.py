@@ -29,7 +29,7 @@ HEADLINES = {
 GOOD_ENOUGH = 1.3
 """Errors, in times of what is unavoidable, up to which nothing more is asked for."""
 
-MOST_OF_IT = 0.5
+CHANGE_EXPLAINS = 0.5
 """Share of what is left that a change must account for to be called what the model lacks."""
 
 
@@ -54,7 +54,7 @@ def rest_explained_by(result: DiagnosisResult) -> Literal["law", "change", ""]:
     if result.laws is not None and result.laws.found and result.laws.after < GOOD_ENOUGH:
         return "law"
     changing = result.changes.found if result.changes is not None else ()
-    return "change" if any(f.removed_share >= MOST_OF_IT for f in changing) else ""
+    return "change" if any(f.removed_share >= CHANGE_EXPLAINS for f in changing) else ""
 
 
 def quick_and_unexplained(result: DiagnosisResult) -> bool:

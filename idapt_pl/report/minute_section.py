@@ -22,7 +22,7 @@ ANSWERS = {
     Verdict.UNEXPLAINED_RESIDUAL: "No, and it is not known in full why.",
     Verdict.INSUFFICIENT_EXCITATION: "These recordings cannot tell.",
 }
-OF_THE_REST = {
+REST_EXPLAINED = {
     "law": (
         "No, but a law of force that was learned repairs it: see below.",
         "Simulate with effects.yaml, which has the law as patched.xml cannot, and look for its cause where it acts.",
@@ -55,7 +55,7 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
         warnings: what else is known of the recordings, a few words each.
     """
     rest = rest_explained_by(result)
-    answer, action = OF_THE_REST[rest] if rest else (ANSWERS[result.verdict], ACTIONS[result.verdict])
+    answer, action = REST_EXPLAINED[rest] if rest else (ANSWERS[result.verdict], ACTIONS[result.verdict])
     rows = [
         ("Does the model move like the machine?", answer),
         ("What is different?", differences_in_words(result, sim.model)),

@@ -21,17 +21,17 @@ from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.recordings import ReadRecording
 from idapt_pl.tasks import Task
 
-SECONDS, STEPS_LEAST = 0.13, 3
+SHOT_SECONDS, SHOT_STEPS_LEAST = 0.13, 3
 """How long a simulation goes on from what was read, and control steps at least. Sooner, offsets hardly tell; later, the
 errors of single readings have grown too much."""
 
-MOST = 360
+MOST_SHOTS = 360
 """Simulations at most, whose beginnings are spread over the recordings."""
 
 MOVED = 0.1
 """Units of the states' spread by which an offset is moved to see what that does."""
 
-FEW, MANY = 0.3, 3.0
+SMALL_ERROR, LARGE_ERROR = 0.3, 3.0
 """Errors, in mean errors of their component, up to which they count by their square, and from which they do not."""
 
 WILD = 20.0
@@ -40,11 +40,11 @@ WILD = 20.0
 PRIOR = 0.05
 """How firmly offsets are held to zero, in simulations' information about an offset of one spread."""
 
-ITERATIONS, LENGTHS = 10, (0.5, 1.0, 2.0, 4.0, 8.0)
+ITERATIONS, STEP_LENGTHS = 10, (0.5, 1.0, 2.0, 4.0, 8.0)
 """Steps, and how far each may go: noise in where simulations begin makes steps too short (errors in variables)."""
 
-STANDARD_ERRORS = 2.0
-"""By which offsets must make forecasts better in recordings that they were not fitted to."""
+SURE_BY = 2.0
+"""Standard errors by which offsets must make forecasts better in recordings that they were not fitted to."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def shots_of(recordings: Sequence[ReadRecording], begin: int, steps: int, stride
     One begins ``stride`` control steps after the other, or later where there are many.
     """
     at = [(k, t) for k, r in enumerate(recordings) for t in range(begin, len(r) - steps + 1, stride)]
-    at = [at[i] for i in np.unique(np.linspace(0, len(at) - 1, MOST).astype(int))] if at else []
+    at = [at[i] for i in np.unique(np.linspace(0, len(at) - 1, MOST_SHOTS).astype(int))] if at else []
     empty = np.zeros((0, 0, 0))
     return Shots(
         np.array([recordings[k].readings[t : t + steps + 1] for k, t in at]) if at else empty,
@@ -137,7 +137,7 @@ def reading_offsets(
         begin: control steps of each recording that are not looked at.
     """
     none = np.zeros(len(scale))
-    steps = max(STEPS_LEAST, round(SECONDS / task.period(domain.compile())))
+    steps = max(SHOT_STEPS_LEAST, round(SHOT_SECONDS / task.period(domain.compile())))
     halves = recordings[::2], recordings[1::2]
     fitted = [Shooting(task, domain, shots_of(half, begin, steps), scale) for half in halves]
     apart = [Shooting(task, domain, shots_of(half, begin, steps, stride=steps), scale) for half in halves]
@@ -153,7 +153,7 @@ def reading_offsets(
         clusters.append(2 * judged.shots.recording + first)
     gain, error = paired_gain(*(np.concatenate(parts) for parts in (before, after, clusters)))
     found = np.mean(offsets, 0) * scale
-    return (found if gain > STANDARD_ERRORS * error else none), (gain, error)
+    return (found if gain > SURE_BY * error else none), (gain, error)
 
 
 def fit_offset(shooting: Shooting) -> np.ndarray:
@@ -162,8 +162,8 @@ def fit_offset(shooting: Shooting) -> np.ndarray:
     errors = shooting(x)
     size = mean_errors(errors)
     for _ in range(ITERATIONS):
-        step = robust_step(errors / size, slopes(shooting, x, errors) / size[:, None], x)
-        tried = [(loss(e / size).mean(), y, e) for f in LENGTHS for y in [x + f * step] for e in [shooting(y)]]
+        step = robust_step(errors / size, slopes_of_errors(shooting, x, errors) / size[:, None], x)
+        tried = [(loss(e / size).mean(), y, e) for f in STEP_LENGTHS for y in [x + f * step] for e in [shooting(y)]]
         least, y, there = min(tried, key=lambda t: t[0])
         if least >= loss(errors / size).mean():
             break
@@ -171,21 +171,21 @@ def fit_offset(shooting: Shooting) -> np.ndarray:
     return x
 
 
-def slopes(shooting: Shooting, x: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def slopes_of_errors(shooting: Shooting, x: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """What errors (n, T, s) change by with every component of the offset, (n, T, s, s)."""
     return np.stack([(shooting(x + move) - errors) / MOVED for move in MOVED * np.eye(len(x))], -1)
 
 
 def robust_step(z: np.ndarray, J: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Where to move an offset (s,), by errors (n, T, s) and their slopes (n, T, s, s), in mean errors."""
-    weights = (np.abs(z) < MANY) / np.maximum(np.abs(z), FEW) * (np.abs(J).max(-1) < WILD)
+    weights = (np.abs(z) < LARGE_ERROR) / np.maximum(np.abs(z), SMALL_ERROR) * (np.abs(J).max(-1) < WILD)
     J, z, w = J.reshape(-1, len(x)), z.ravel(), weights.ravel() / len(z)
     return -np.linalg.solve((J.T * w) @ J + PRIOR * np.eye(len(x)), (J.T * w) @ z + PRIOR * x)
 
 
 def loss(z: np.ndarray) -> np.ndarray:
     """Of every simulation, (n,), by errors (n, T, s) in mean errors."""
-    return np.minimum(np.abs(z), MANY).mean((1, 2))
+    return np.minimum(np.abs(z), LARGE_ERROR).mean((1, 2))
 
 
 def mean_errors(errors: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ HEIGHT, PITCH = 0, 1
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
     """Simulations enough for clean readings."""
-    monkeypatch.setattr(offsets, "MOST", 60)
+    monkeypatch.setattr(offsets, "MOST_SHOTS", 60)
 
 
 @pytest.fixture(scope="module")
