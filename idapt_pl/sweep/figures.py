@@ -19,7 +19,7 @@ METHOD_COLOURS = ("#1f77b4", "#d1495b", "#2f7d3b", "#8e5ea2", "#c98b1a", "#4a4a4
 LINES = ("-", "--", ":", "-.")
 """Of their curves: the first for as many as there are colours, then the next."""
 
-MOST_LEVEL_NAMES = 4
+MOST_LEVEL = 4
 """Methods whose names stand beside each other below a panel; those of more are turned."""
 
 
@@ -39,7 +39,7 @@ def cells_figure(cells: Mapping[str, Sequence[RunResult]], paper: Mapping[str, f
     colours, columns = colour_of(methods), min(3, len(cells))
     rows = math.ceil(len(cells) / columns)
     with matplotlib.rc_context(STYLE):
-        height = 2.5 if len(methods) <= MOST_LEVEL_NAMES else 3.2
+        height = 2.5 if len(methods) <= MOST_LEVEL else 3.2
         figure = Figure(figsize=(8.6, 0.6 + height * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for axis, (cell, mine) in zip(axes, cells.items(), strict=False):
@@ -55,9 +55,7 @@ def cells_figure(cells: Mapping[str, Sequence[RunResult]], paper: Mapping[str, f
             if oracles:
                 axis.axhline(float(np.mean(oracles)), color=REFERENCE, ls="--", lw=1.4)
             axis.set_title(escape_mathtext(cell), loc="left", fontsize=10)
-            turned = (
-                {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if len(methods) > MOST_LEVEL_NAMES else {}
-            )
+            turned = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if len(methods) > MOST_LEVEL else {}
             axis.set_xticks(range(len(methods)), [escape_mathtext(m) for m in methods], fontsize=8.5, **turned)
             axis.set_xlim(-0.6, len(methods) - 0.4)
             axis.set_ylabel(mine[0].metric)
