@@ -144,6 +144,7 @@ def test_a_gain_of_few_recordings_has_no_error_and_is_not_enough():
     json.loads(json.dumps(written, allow_nan=False))
 
 
+@pytest.mark.slow  # two minutes
 def test_what_another_search_found_is_put_aside_for_what_is_surely_better_and_else_kept(errors, nothing):
     assert search_from_known_starts(CANDIDATES, nothing, nothing).to_dict()["effects"] == []
     wrong, right = JointDamping("bshin", 12.0), BodyMass("torso", 10.0)
