@@ -103,7 +103,7 @@ def in_words(name: str, error: Exception) -> str:
     if isinstance(error, argparse.ArgumentError):
         keys = "fit" if name == "check" else name  # whose config it reads
         return f"{plain(error)}. `idapt {keys} --help` lists what there is."
-    if hasattr(error, "exit_code"):  # a WholeError, which is not worth importing torch for
+    if hasattr(error, "exit_code"):  # a WholeError, whose module loads torch, which may be what cannot be loaded
         return str(error)
     lines = [line for line in str(error).splitlines() if line.strip()]
     text = "\n".join(lines) if len(lines) < 3 else " ".join(" ".join(lines).split())[:1000]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -64,9 +65,6 @@ class Shots:
     def __len__(self) -> int:
         return len(self.readings)
 
-    def __getitem__(self, rows: np.ndarray) -> Shots:
-        return Shots(self.readings[rows], self.actions[rows], self.recording[rows])
-
 
 def shots_of(recordings: Sequence[ReadRecording], begin: int, steps: int, stride: int = 1) -> Shots:
     """Stretches of so many control steps, evenly over all recordings, each of them from step ``begin`` on.
@@ -75,10 +73,9 @@ def shots_of(recordings: Sequence[ReadRecording], begin: int, steps: int, stride
     """
     at = [(k, t) for k, r in enumerate(recordings) for t in range(begin, len(r) - steps + 1, stride)]
     at = [at[i] for i in np.unique(np.linspace(0, len(at) - 1, MOST_SHOTS).astype(int))] if at else []
-    empty = np.zeros((0, 0, 0))
     return Shots(
-        np.array([recordings[k].readings[t : t + steps + 1] for k, t in at]) if at else empty,
-        np.array([recordings[k].actions[t : t + steps] for k, t in at]) if at else empty,
+        np.array([recordings[k].readings[t : t + steps + 1] for k, t in at]),
+        np.array([recordings[k].actions[t : t + steps] for k, t in at]),
         np.array([k for k, _ in at], int),
     )
 
@@ -105,10 +102,14 @@ class Shooting:
         errors = (states[:, 1:] - self.simulate(states[:, 0])) / self.scale
         return np.clip(np.nan_to_num(errors, nan=1e3), -1e3, 1e3)
 
+    @cached_property
+    def ensemble(self) -> SimulatedEnsemble:
+        """A simulation for each stretch, of a model that is compiled once."""
+        return SimulatedEnsemble(self.task, self.domain, len(self.shots))
+
     def simulate(self, begin: np.ndarray) -> np.ndarray:
         """States (n, T, s) from where simulations begin (n, s), by the recorded actions."""
-        ensemble, states = SimulatedEnsemble(self.task, self.domain, len(self.shots)), []
-        model = ensemble.model
+        ensemble, model, states = self.ensemble, self.ensemble.model, []
         ensemble.put(ensemble.begin(begin))
         with silence_mujoco():
             for actions in np.swapaxes(self.shots.actions, 0, 1):

@@ -137,7 +137,8 @@ def offsets_of_files(
         offset, (gain, error) = reading_offsets(smooth.task, smooth.domain, mine, scale, begin)
         told = np.array2string(offset / scale, precision=2, suppress_small=True, max_line_width=1000)
         log.info("%s  offsets of readings, in spreads: %s (gain %.2g ± %.2g)", path.parent.name, told, gain, error)
-        found.append({"episodes": count, "offset": offset.tolist(), "gain": gain, "standard_error": error})
+        spread = error if np.isfinite(error) else None  # fewer than half of the recordings gain; JSON has no infinity
+        found.append({"episodes": count, "offset": offset.tolist(), "gain": gain, "standard_error": spread})
     return {"files": found, "spreads": scale.tolist()}
 
 

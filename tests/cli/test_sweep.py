@@ -10,8 +10,10 @@ import yaml
 from conftest import QUICK, TINY
 from test_interrupt import LONG, stopped
 
+import cli.sweep
 from cli.main import main
 from idapt_pl.sweep.folder import WAITING, SweepFolder
+from idapt_pl.sweep.settings import read_sweep
 
 NAME = "pendulum_IDAPT_3"
 
@@ -118,3 +120,20 @@ def test_sigterm_ends_every_run_and_says_how_to_go_on(sweep_yaml, tmp_path):
     assert "idapt fit: stopped by SIGTERM" in folder.log(NAME).read_text()
     left = [p for p in psutil.process_iter(["cmdline"]) if any(str(folder.path) in a for a in p.info["cmdline"] or [])]
     assert left == []
+
+
+def test_status_follows_the_yaml_and_falls_back_to_the_plan(sweep_yaml, monkeypatch):
+    """Runs that jobs of an array made after a plan was kept are there too."""
+    monkeypatch.setattr(
+        cli.sweep, "complete_config", lambda arguments: {"task": "pendulum", "target": "hard", "seed": 0}
+    )
+    settings = read_sweep(sweep_yaml())
+    folder = SweepFolder(settings.folder)
+    kept = cli.sweep.plan_sweep(settings, folder, cli.sweep.complete_config)
+    more = read_sweep(sweep_yaml(seeds=[3, 4]))
+    assert [run.seed for run in cli.sweep.planned_now(more, folder)] == [3, 4]
+    assert folder.read_plan() == kept, "looking writes nothing"
+    gone = read_sweep(sweep_yaml(tasks={"pendulum": "gone.yaml"}))
+    assert cli.sweep.planned_now(gone, folder) == kept
+    with pytest.raises(ValueError, match=r"gone\.yaml"):
+        cli.sweep.planned_now(gone, SweepFolder(folder.path / "other"))

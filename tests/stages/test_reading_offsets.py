@@ -1,5 +1,6 @@
 """Offsets of readings are sought in each of the target's files, and taken from that file's readings."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ def test_each_file_of_the_target_has_its_own_offset(tmp_path, monkeypatch):
 
     def sought(task, domain, mine, scale, begin):
         asked.append(([r.readings[0, 0] for r in mine], begin))
-        return np.array([1.0, 0.0]) * len(mine), (0.5, 0.1)
+        return np.array([1.0, 0.0]) * len(mine), (0.5, 0.1 if len(mine) == 3 else np.inf)
 
     monkeypatch.setattr(labels, "reading_offsets", sought)
     files = [tmp_path / name / "target.h5" for name in ("step_00", "step_01")]
@@ -27,3 +28,4 @@ def test_each_file_of_the_target_has_its_own_offset(tmp_path, monkeypatch):
     assert asked == [([0, 1, 2], 7), ([3, 4], 7)]
     assert [(f["episodes"], f["offset"]) for f in told["files"]] == [(3, [3.0, 0.0]), (2, [2.0, 0.0])]
     assert told["spreads"] == [1.0, 1.0]
+    assert [f["standard_error"] for f in json.loads(json.dumps(told, allow_nan=False))["files"]] == [0.1, None]
