@@ -67,11 +67,6 @@ def main(argv: list[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"idapt: unknown command {name!r}; commands are: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
-    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL", "onnxscript", "onnx_ir"):
-        logging.getLogger(noisy).setLevel(logging.WARNING)
-    for message in HARMLESS:
-        warnings.filterwarnings("ignore", message)
     try:
         with interruptible():
             return run_command(name, [a for a in rest if a != "--debug"], "--debug" in rest)
@@ -89,6 +84,7 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
     """Run one of :data:`COMMANDS`, with errors on one line, or (to debug) as they are. Returns its exit code."""
     try:
         importlib.import_module("idapt_pl")  # before mujoco, for rendering; here, as `idapt --help` need not wait
+        say_what_matters()
         module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
         return importlib.import_module(f"cli.{module}").main(args)
     except Exception as error:
@@ -96,6 +92,15 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
             raise
         print(f"idapt {name}: {in_words(name, error)}", file=sys.stderr)
         return 2 if isinstance(error, argparse.ArgumentError) else getattr(error, "exit_code", 1)
+
+
+def say_what_matters() -> None:
+    """Our log on the screen, and of others' what a user can do something about; after Lightning has set its own level."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
+    for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL", "onnxscript", "onnx_ir"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    for message in HARMLESS:
+        warnings.filterwarnings("ignore", message)
 
 
 def in_words(name: str, error: Exception) -> str:

@@ -78,6 +78,17 @@ def test_the_overview_does_not_wait_for_torch():
     assert done.returncode == 0 and "ground the source in the target" in done.stdout, done.stderr
 
 
+def test_other_packages_say_no_more_than_what_a_user_can_do_something_about():
+    """Lightning sets its level as it is imported, which is when a command begins."""
+    code = (
+        "import logging; from cli.main import main; assert main(['report', '--run', 'nowhere']) == 1; "
+        "assert {logging.getLogger(n).level for n in ('lightning.pytorch', 'lightning.fabric')} == {logging.WARNING}; "
+        "assert logging.getLogger().level == logging.INFO"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_usage_lists_every_command(capsys):
     code, printed = run(["--help"], capsys)
     assert code == 0 and all(name in printed.out for name in COMMANDS)
