@@ -95,7 +95,7 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
 
 
 def say_what_matters() -> None:
-    """Our log on the screen, and of others' what a user can do something about; after Lightning has set its own level."""
+    """Our log on the screen, and of others' what a user can act on; called after Lightning has set its own level."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
     for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL", "onnxscript", "onnx_ir"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
