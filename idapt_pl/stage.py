@@ -29,6 +29,8 @@ from idapt_pl.run_folder.time_left import TimeLeft, in_words
 
 log = logging.getLogger(__name__)
 Module = TypeVar("Module", bound=L.LightningModule)
+TRAIN_AGAIN = "again"
+"""Among the notes of a training: it was not enough, and the stage trains once more."""
 MakeTrainer = Callable[[Path, int], L.Trainer]
 """Folder of the stage and its number of batches to a fresh Trainer."""
 
@@ -96,7 +98,7 @@ class Stages:
         build: Callable[[], Module],
         feed: Callable[[Module, int, torch.device], L.LightningDataModule],
         batches: int,
-        finish: Callable[[Module, torch.device], dict] = lambda module, device: {},
+        finish: Callable[[Module, torch.device, int], dict] = lambda module, device, attempt: {},
     ) -> Module:
         """Fit a module, or load it if this stage is done.
 
@@ -106,8 +108,8 @@ class Stages:
             build: makes the module (randomness is seeded before).
             feed: makes its data from the module, the stage's seed and the device trained on.
             batches: how long to fit.
-            finish: given the fitted module on its device, may change it before it is kept; what it returns is noted in
-                ``stage.json``.
+            finish: given the fitted module on its device, and how often it was fitted, may change it before it is kept;
+                what it returns is noted in ``stage.json``. With ``TRAIN_AGAIN`` in it the module is fitted once more.
 
         Raises:
             DamagedFile: if this stage is done and its checkpoint cannot be used.
@@ -123,17 +125,18 @@ class Stages:
             return load_finished(module, final)
         tidy_memory()
         shutil.rmtree(folder, ignore_errors=True)  # what a killed attempt left
-        started, notes = time.perf_counter(), {}
+        started, notes, attempt = time.perf_counter(), {TRAIN_AGAIN: batches > 0}, 0
         health = Health(f"step {step}, stage {name}")
-        if batches:
-            trainer = self.make_trainer(folder, batches)
+        while notes.pop(TRAIN_AGAIN, False):
+            logs = folder / f"again_{attempt + 1}" if attempt else folder  # curves that begin anew are not mixed
+            trainer = self.make_trainer(logs, batches)
             trainer.callbacks += [self.cores, health]
             device = trainer.strategy.root_device
-            data = feed(module.to(device), seed, device)
+            data = feed(module.to(device), seed + attempt, device)
             with health.explaining(module):
                 trainer.fit(module, datamodule=data)
-            away = health.running_away(module, data)
-            notes = finish(module.to(device), device) | ({"ran_away": away} if away else {})
+            away, attempt = health.running_away(module, data), attempt + 1
+            notes = finish(module.to(device), device, attempt) | ({"ran_away": away} if away else {})
         check_weights(module, health.where, health.cure(module))
         seconds = time.perf_counter() - started
         weights = checkpoint_bytes(module)
@@ -205,6 +208,15 @@ class Stages:
             DamagedFile: if it is damaged, or that of something else.
         """
         return read_result(self.folder(step) / f"{name}.json")
+
+    def notes(self, step: int, name: str) -> dict:
+        """What a finished stage of a module noted, as in its ``stage.json``; empty if there is no such stage.
+
+        Raises:
+            DamagedFile: if it is damaged, or that of something else.
+        """
+        path = self.folder(step) / name / "stage.json"
+        return read_result(path) if path.exists() else {}
 
     def timings(self) -> list[dict]:
         """Step, stage and wall-clock seconds of everything done so far, in order of completion."""

@@ -135,6 +135,7 @@ TINY = {
     "feeding.state_predictor_batch": 8, "feeding.visual_batch": 2, "feeding.num_envs": 2,
     "feeding.updates_per_step": 1, "feeding.policy_batch": 8, "feeding.warmup_steps": 10,
     "feeding.garat_envs": 2, "feeding.garat_rollout": 20, "feeding.trial_episodes": 1,
+    "feeding.trial_repeats": 1,
     "vision.crop": 28,
     "policy.hidden": "[16]", "dynamics.hidden": "[16]",
     "visual.width": 4, "visual.blocks": 1, "visual.discriminator_width": 4,

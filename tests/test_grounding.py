@@ -305,15 +305,33 @@ def test_a_policy_that_does_worse_in_the_grounded_source_after_its_training_is_p
     finished_run, tiny_args, tmp_path, monkeypatch, returns, kept
 ):
     begun, answers = begin_with(monkeypatch), iter(returns)
-    monkeypatch.setattr("idapt_pl.stages.policy.evaluate", lambda *a, **k: SimpleNamespace(mean=next(answers)))
+    monkeypatch.setattr("idapt_pl.stages.trials.evaluate", lambda *a, **k: SimpleNamespace(mean=next(answers)))
     run = tmp_path / "run"
     shutil.copytree(finished_run / "step_00", run / "step_00")
     shutil.rmtree(run / "step_00/policy")
-    assert main(["fit", *tiny_args(run, schedule__grounding_steps=0)]) == 0
+    assert main(["fit", *tiny_args(run, schedule__grounding_steps=0, feeding__trial_repeats=0)]) == 0
     after, parts = weights(run / "step_00/policy/final.ckpt"), LEARNED["policy"]
     assert changed_parts(begun[0, "policy"], after, parts) == (set() if kept == "before" else set(parts))
     told = json.loads((run / "step_00/policy/stage.json").read_text())
     assert (told["trial_before"], told["trial_after"], told["kept"]) == (*returns, kept)
+
+
+@pytest.mark.parametrize(
+    ("answers", "attempts", "kept"),
+    [((0.0, 0.5, 0.0, 900.0), 2, "after"), ((0.5, 0.0, 0.5, 0.0), 2, "before"), ((0.0, 900.0), 1, "after")],
+)
+def test_a_policy_that_falls_short_of_the_source_policy_trains_again_in_the_same_stage(
+    finished_run, tiny_args, tmp_path, monkeypatch, answers, attempts, kept
+):
+    returns, run = iter(answers), tmp_path / "run"
+    monkeypatch.setattr("idapt_pl.stages.trials.evaluate", lambda *a, **k: SimpleNamespace(mean=next(returns)))
+    shutil.copytree(finished_run / "step_00", run / "step_00")
+    shutil.rmtree(run / "step_00/policy")
+    assert json.loads((run / "step_00/source_policy/stage.json").read_text())["trial_after"] > 1
+    assert main(["fit", *tiny_args(run, schedule__grounding_steps=0, feeding__trial_repeats=1)]) == 0
+    told = json.loads((run / "step_00/policy/stage.json").read_text())
+    assert (told["attempts"], told["kept"]) == (attempts, kept) and "again" not in told
+    assert not list(returns), "each attempt was tried, and no other"
 
 
 @pytest.mark.slow

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import copy
-import logging
 import math
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 
 import torch
@@ -21,14 +18,11 @@ from idapt_pl.modules.recurrent_policy import REMEMBERED
 from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
-from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.recurrent_experience import RecurrentExperience
-from idapt_pl.rl.returns import evaluate
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.on_estimates import fit_on_estimates
 from idapt_pl.stages.schedule import StageLengths, length_of
-
-log = logging.getLogger(__name__)
+from idapt_pl.stages.trials import GroundedTrials, trial
 
 
 def fit_source_policy(
@@ -57,7 +51,12 @@ def fit_source_policy(
         initial = fit_on_estimates(c, 0, "source_", lengths, source, teacher, start)
     elif c.teacher.settings.steps:
         initial = c.teacher.student(0, "source_", build, make_env)
-    return fit_policy(c, 0, "source_policy", make_env, steps, initial, source)
+
+    def finish(policy: AsymmetricSAC, device: torch.device, attempt: int) -> dict:
+        episodes = c.batches.trial_episodes
+        return {"trial_after": trial(policy, make_env(device), episodes)} if episodes else {}
+
+    return fit_policy(c, 0, "source_policy", make_env, steps, initial, source, finish)
 
 
 def untrained(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayDataModule:
@@ -72,7 +71,7 @@ def fit_grounded_policy(
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
     Where the teacher acts on estimates, they are learned from ``labelled``, target-like images with states, too. With
-    ``feeding.trial_episodes`` it is put back to what it was if its training did not help in the grounded source.
+    ``feeding.trial_episodes`` episodes in the grounded source say whether it trains again, and whether it is put back.
     """
 
     def make_env(device: torch.device) -> VectorEnv:
@@ -87,9 +86,12 @@ def fit_grounded_policy(
     elif c.teacher.settings.steps:
         initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)
 
-    def finish(policy: AsymmetricSAC, device: torch.device) -> dict:
-        episodes = c.batches.trial_episodes
-        return keep_better(policy, initial, make_env(device), episodes) if episodes else {}
+    def finish(policy: AsymmetricSAC, device: torch.device, attempt: int) -> dict:
+        if not (episodes := c.batches.trial_episodes):
+            return {}
+        in_source = c.stages.notes(0, "source_policy").get("trial_after")
+        trials = GroundedTrials(episodes, c.batches.trial_repeats, in_source)
+        return trials(policy, initial, (make_env(device), make_env(device)), attempt)
 
     return fit_policy(c, step, "policy", make_env, length_of(lengths.policy), initial, finish=finish)
 
@@ -102,7 +104,7 @@ def fit_policy(
     steps: int,
     initial: AsymmetricSAC | PixelStatePredictor,
     familiar: Sequence[Path] = (),
-    finish: Callable[[AsymmetricSAC, torch.device], dict] = lambda policy, device: {},
+    finish: Callable[[AsymmetricSAC, torch.device, int], dict] = lambda policy, device, attempt: {},
 ) -> AsymmetricSAC:
     """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor.
 
@@ -144,21 +146,3 @@ def fit_policy(
         )
 
     return c.stages.fit(step, name, lambda: c.new_policy(initial), feed, steps // b.num_envs, finish)
-
-
-def keep_better(policy: AsymmetricSAC, before: AsymmetricSAC, env: VectorEnv, episodes: int) -> dict:
-    """Put a policy back to what it was before its training if that does better in the environment it trained in.
-
-    SAC can unlearn: one that holds still for long forgets what to do when it does not.
-
-    Returns:
-        Mean returns (or successes) with the mean action: ``trial_before``, ``trial_after``; ``kept``, which of them.
-    """
-    with closing(env):
-        tried = (copy.deepcopy(before).to(policy.device), policy)
-        means = [evaluate(env, deterministic(p), episodes, seed=0).mean for p in tried]
-    kept = "before" if means[0] > means[1] else "after"
-    if kept == "before":
-        policy.load_state_dict(before.state_dict())
-        log.info("the policy is kept as it was: %.1f in the grounded source, after more training %.1f", *means)
-    return {"trial_before": means[0], "trial_after": means[1], "kept": kept}

@@ -40,6 +40,8 @@ class BatchSettings:
             affine law under which short replays in the source follow the target's recordings.
         trial_episodes: episodes in the grounded source, with its reward, on which a policy must do as well after its
             training there as before, or the one before is kept; 0 always goes on with the newest (the paper).
+        trial_repeats: how often a policy trains again, as long as before, while it does a tenth worse in those episodes
+            than the source's policy in the source; 0 never (the paper).
         garat_ridge: with ``matching``, weight of the squared coefficients.
     """
 
@@ -56,11 +58,13 @@ class BatchSettings:
     garat_start: Literal["identity", "matching"] = "identity"
     garat_ridge: float = 1e4
     trial_episodes: int = 0
+    trial_repeats: int = 0
 
     def __post_init__(self) -> None:
         sizes = ("state_predictor_batch", "visual_batch", "updates_per_step", "policy_batch", "garat_rollout")
         ranges = dict.fromkeys(sizes, Range(1, 1e6)) | dict.fromkeys(("num_envs", "garat_envs"), Range(1, 1024))
         ranges |= {"buffer_size": COUNT, "warmup_steps": COUNT_OR_NONE, "trial_episodes": COUNT_OR_NONE}
+        ranges["trial_repeats"] = Range(0, 100)
         check_ranges("feeding", vars(self), ranges | {"garat_exploring": SHARE, "garat_ridge": NOT_NEGATIVE})
         if self.garat_rollout < self.garat_envs:
             raise ValueError(

@@ -7,14 +7,13 @@ import pytest
 import torch
 
 from idapt_pl.envs import GroundedEnv, VectorImageEnv
-from idapt_pl.modules import ActionTransformation, AsymmetricSAC
+from idapt_pl.modules import ActionTransformation
 from idapt_pl.modules.observation_noise import NoObservationNoise
 from idapt_pl.rl.collect import collect, collect_each, replay
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.exploration import EXPLORATION, random_policy
 from idapt_pl.rl.grounded_rollout import garat_rollout
 from idapt_pl.rl.returns import evaluate
-from idapt_pl.stages.policy import keep_better
 
 
 @pytest.fixture
@@ -227,28 +226,3 @@ def test_garat_rollout_marks_ends_and_continues_within_episodes(make):
     everywhere, nowhere = (policy.calls.count(only) for only in (None, [False, False]))
     assert policy.calls.count("played") == 26 and everywhere == 27, "each observation is remembered once"
     assert nowhere == 1, "what the second rollout begins with was seen at the end of the first"
-
-
-# --- the better of two policies -------------------------------------------------------------------------
-
-
-def pushing(amount):
-    """A policy whose mean action is always the same, as a share of the largest."""
-    sizes = {"state_dim": 2, "image_size": 16, "frame_stack": 2, "hidden": (8,)}
-    policy = AsymmetricSAC(**sizes, action_low=[-20.0], action_high=[20.0], bf16=False)
-    last = policy.actor.head[-1]
-    torch.nn.init.zeros_(last.weight)
-    last.bias.data = torch.tensor([float(np.arctanh(amount)), 0.0])
-    return policy
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "kept"), [(0.9, -0.9, "before"), (-0.9, 0.9, "after"), (0.5, 0.5, "after")]
-)
-def test_a_policy_that_got_worse_in_its_own_environment_is_put_back(make, before, after, kept):
-    """The cart is paid for its position."""
-    old, new = pushing(before), pushing(after)
-    told = keep_better(new, old, make(2), 4)
-    assert told["kept"] == kept and (told["trial_before"] > told["trial_after"]) == (kept == "before")
-    action = new.act(np.zeros((1, 2, 16, 16, 3), np.uint8), deterministic=True)
-    assert action == pytest.approx(20 * max(before, after), rel=1e-4)
