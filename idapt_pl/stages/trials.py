@@ -48,8 +48,8 @@ class GroundedTrials:
         """Compare a policy with what it was before its training, after so many attempts.
 
         Where neither does nearly as well as the source's policy in the source, it shall train again: what the policy
-        learned so far stays, and ``TRAIN_AGAIN`` is among the notes. Else, or after the last attempt, it is put back if it
-        was better before: SAC can unlearn, one that holds still for long forgets what to do when it does not.
+        learned so far stays, and ``TRAIN_AGAIN`` is among the notes. Else, or after the last attempt, it is put back if
+        it was better before: SAC can unlearn, one that holds still for long forgets what to do when it does not.
 
         Returns:
             ``trial_before``, ``trial_after``: mean returns; ``attempts``; ``kept``, which of both policies.
