@@ -9,7 +9,6 @@ step. The mapping of actions that CC learns besides is left out.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import ExpertAtTheControls
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.returns import evaluate
+from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.stages.collection import on_policy, record_source, record_target
 from idapt_pl.stages.policy import fit_source_policy
 from idapt_pl.stages.schedule import length_of, policy_steps
@@ -82,14 +82,16 @@ class Correspondence(ABC):
         """The policy's return in the target, and in the source where that is shown as the target and seen back."""
         worlds, evaluation = self.grounding.context.worlds, self.grounding.evaluation
 
-        def of(make_env: Callable[[int], ImageEnv], episodes: int, seed: int) -> dict:
-            with closing(self.seen(make_env(min(episodes, 25)), G)) as env:
-                return evaluate(env, deterministic(pi), episodes, seed).to_dict()
+        act = deterministic(pi)
 
-        def make(seed: int) -> dict:
-            target = of(worlds.rewarded_target, evaluation.episodes, seed) if worlds.target.measured else {}
-            there = of(lambda n: worlds.grounded(n, G), TRIED, seed)
-            return {"target": target, "grounded": {x: there[x] for x in ("mean", "std")}, "translation": {}}
+        def make(seed: int, kept: KeptOutcomes) -> dict:
+            target = {}
+            if worlds.target.measured:
+                env = self.seen(worlds.rewarded_target(min(evaluation.episodes, 25)), G)
+                target = evaluation.play_target(env, act, seed, kept)
+            with closing(self.seen(worlds.grounded(TRIED, G), G)) as env:
+                there = evaluate(env, act, TRIED, seed)
+            return {"target": target, "grounded": {"mean": there.mean, "std": there.std}, "translation": {}}
 
         return evaluation.measured(k, make)
 

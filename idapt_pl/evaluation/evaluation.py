@@ -14,8 +14,8 @@ from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
 from idapt_pl.files import blaming, write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
-from idapt_pl.rl.policy import deterministic
-from idapt_pl.rl.returns import EpisodeOutcome, evaluate
+from idapt_pl.rl.policy import Policy, deterministic
+from idapt_pl.rl.returns import EpisodeOutcome, Watch, evaluate
 from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
@@ -61,15 +61,32 @@ class Evaluation:
             return {}
         act = deterministic(policy)
         errors = EstimateErrors(act)
-        watch = errors if target.has_states else None
+        env = self.worlds.rewarded_target(min(self.episodes, 25))
+        result = self.play_target(env, act, seed, kept, errors if target.has_states else None)
+        return result | {"state_errors": errors.to_dict()}
+
+    def play_target(
+        self, env: ImageEnv, act: Policy, seed: int, kept: KeptOutcomes | None, watch: Watch | None = None
+    ) -> dict:
+        """Outcomes of whole episodes in the target as somebody sees it; closes it.
+
+        Args:
+            env: the target with its reward.
+            act: acts.
+            seed: of the episodes' starts.
+            kept: where the outcomes of a target that cannot be played again are kept meanwhile.
+            watch: sees what the policy saw.
+
+        Raises:
+            TargetFailed: if the target fails.
+        """
         before: list[EpisodeOutcome] = []
         keep = None
-        if kept is not None and not target.repeatable:
+        if kept is not None and not self.worlds.target.repeatable:
             before = [EpisodeOutcome(**outcome) for outcome in kept]
             keep = lambda outcome: kept.add(asdict(outcome))  # noqa: E731
-        with closing(self.worlds.rewarded_target(min(self.episodes, 25))) as env:
-            result = evaluate(env, act, self.episodes, seed, watch, before, keep).to_dict()
-        return result | {"state_errors": errors.to_dict()}
+        with closing(env):
+            return evaluate(env, act, self.episodes, seed, watch, before, keep).to_dict()
 
     def keeping(self, step: int, name: str, purpose: str, make: Callable[[int, KeptOutcomes], dict]) -> dict:
         """A measurement of a grounding step; if the target fails, episodes that are over are kept and counted."""
@@ -86,9 +103,9 @@ class Evaluation:
         kept.forget()
         return result
 
-    def measured(self, step: int, make: Callable[[int], dict]) -> dict:
+    def measured(self, step: int, make: Callable[[int, KeptOutcomes], dict]) -> dict:
         """What a baseline measures after a step, as ``evaluation.json`` and on the ledger."""
-        result = self.keeping(step, "evaluation", "evaluation", lambda seed, kept: make(seed))
+        result = self.keeping(step, "evaluation", "evaluation", make)
         if there := result["target"]:
             log.info("step %d  target return %.1f ± %.1f", step, there["mean"], there["std"])
         self.worlds.ledger.enter(step, "evaluation", evaluation_interactions(self.stages.folder(step), result))

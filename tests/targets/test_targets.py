@@ -185,6 +185,32 @@ def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fail
     assert main(["ledger", "--run", str(run)]) == 0
 
 
+@pytest.mark.usefixtures("lab")
+def test_what_was_judged_of_a_correspondence_is_kept_too_when_the_robot_fails(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("builtins.input", lambda text: "2.5")
+    run = tmp_path / "run"
+    config = written(tmp_path, env="my_lab:CartPole", name="lab cart", measure="ask", horizon=8)
+    command = ["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]
+    command += ["--episodes", "3", "--method", "cc_image"]
+    (tmp_path / "unplugged").write_text("94")  # 60 are recorded, 24 direct transfer; one episode of 8, two steps
+    assert main(command) == 1
+    assert "1 of 3 episodes of evaluation, step 0, are kept" in capsys.readouterr().err
+
+    before = {"training": 60, "evaluation of direct transfer": 24}
+
+    def counted():
+        entries = json.loads((run / "ledger.json").read_text())["entries"]
+        return {e["purpose"]: e["count"] for e in entries if e["count"]}
+
+    assert counted() == before | {"evaluation": 10}
+    (tmp_path / "unplugged").write_text("1000")
+    assert main(command) == 0
+    result = json.loads((run / "step_00/evaluation.json").read_text())["target"]
+    played = 1000 - int((tmp_path / "unplugged").read_text())
+    assert result["returns"] == [2.5] * 3 and counted() == before | {"evaluation": 10 + played}
+    assert not list(run.rglob("*_so_far.json")) and main(["ledger", "--run", str(run)]) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("lab")
 def test_what_was_judged_later_is_kept_too_when_the_robot_fails(tmp_path, capsys, monkeypatch):
