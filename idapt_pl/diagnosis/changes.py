@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,9 @@ RIVALS, PIECES, RIVAL_BETTER = 4, 4, 0.03
 """Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
 their own, and the share of the loss by which one must be better."""
 
+SIMULATED_PIECES = 8
+"""Values that stand for a change that is simulated."""
+
 SHOWN_STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
 
@@ -65,7 +68,8 @@ class ChangeFinding:
         at: time constant or time of a step, s; None for drifts.
         episode: in which a step over the recordings lies; None for others.
         p: of a parameter that is constant to look like this.
-        removed_share: of the squared error of all windows above the noise floor that the change removes.
+        removed_share: of the squared error of all windows above the noise floor that it removes; by slopes while
+            changes are compared, by simulation in the end.
         series: stretches: where (an episode's number, or seconds), value, half of the 95 % interval.
     """
 
@@ -150,13 +154,14 @@ def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeRepo
         more, rival, rest = rival_change(context, state, at, found[0], shapes, clusters)
         tested += more
         if rival is not None:
-            return ChangeReport(tested, [rival.finding]), rest
+            return ChangeReport(tested, [simulated(context, rest, at, rival)]), rest
     if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.finding.removed_share for f in found[:1]) < MOST_OF_REST:
         others = other_candidates(context, state, at.order, z)
         tested += len(others)
         found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
         found = [f for f in found if f.finding.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
-    return (ChangeReport(tested, [f.finding for f in found]) if tested else None), state
+    told = [simulated(context, state, at, f) for f in found]
+    return (ChangeReport(tested, told) if tested else None), state
 
 
 def rival_change(
@@ -199,6 +204,36 @@ def loss_in_pieces(context: SearchContext, state: SearchState, at: WindowTimes, 
         one = t.candidate.with_one_free(t.k, x).effect([value])
         total += float(robust_loss(context.whitened(split[chosen], (*rest.effects, one))).sum())
     return total
+
+
+def simulated(context: SearchContext, state: SearchState, at: WindowTimes, change: Change) -> ChangeFinding:
+    """What was found by slopes, by simulation: ends of what drifts or decays, and the share of the error removed."""
+    f, t, found = change.shape.f, change.parameter, change.finding
+    begin, end = f[[np.argmin(at.time), np.argmax(at.time)]] if "within" in found.kind else f[[0, -1]]
+    alike = [np.flatnonzero(f == v) for v in np.unique(f)]
+    pieces = alike if len(alike) <= SIMULATED_PIECES else np.array_split(np.argsort(f), SIMULATED_PIECES)
+    middle, first, last = np.array([f[rows].mean() for rows in pieces]), found.first, found.last
+    if "step" not in found.kind:
+        rows_of = [np.isin(np.arange(len(f)), rows) for rows in pieces]
+        guesses = first + (last - first) * (middle - begin) / (end - begin)
+        values = [refit_alone(context, state, t, at, r, v) for r, v in zip(rows_of, guesses, strict=True)]
+        line = np.polynomial.Polynomial.fit(middle, values, 1)
+        first, last = (float(f"{v:.4g}") for v in np.clip(line([begin, end]), *(b[t.k] for b in t.candidate.bounds())))
+    x = np.array(t.candidate.nominal if t.accepted is None else t.accepted.x, float)
+    rest = state if t.accepted is None else state.without(t.accepted)
+    left = 0.0
+    for rows, where in zip(pieces, (middle - begin) / (end - begin), strict=True):
+        effect = t.candidate.with_one_free(t.k, x).effect([first + (last - first) * where])
+        z = all_windows(context, state, (*rest.effects, effect), at.order[rows])
+        left += float(np.minimum(np.square(z), 36).sum()) - z.size
+    removable = removable_error(all_windows(context, state, state.effects, at.order))
+    share = round(float(np.clip(1 - left / removable, 0, 1)), 4)
+    return replace(found, first=first, last=last, removed_share=share)
+
+
+def removable_error(z: np.ndarray) -> float:
+    """Squared error of whitened residuals above the noise, each bounded."""
+    return max(float(np.minimum(np.square(z), 36).sum()) - z.size, 1e-9)
 
 
 def changing_ones(
@@ -297,7 +332,7 @@ def describe(
         )
     low, high = (float(b[k]) for b in c.bounds())
     ends = np.clip(ends, low, high)
-    removable = max(float(np.minimum(np.square(z), 36).sum()) - z.size, 1e-9)
+    removable = removable_error(z)
     gain = float(np.square(w.score @ f) / (w.information @ np.square(f)))
     gain += w.constant**2 * float(w.information.sum()) * (t.accepted is None)
     change, size = abs(ends[1] - ends[0]), max(abs(value), abs(value - c.nominal[k]))

@@ -20,16 +20,16 @@ sys.path.insert(0, str(ROOT / "tests" / "report"))
 from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
 
 
-def recordings(*dampings):
-    """The nominal model, and recordings of one swing in their order, five episodes with each damping."""
-    each = [record(d, episodes=5) for d in dampings]
+def recordings(*dampings, episodes=5):
+    """The nominal model, and recordings of one swing in their order, so many episodes with each damping."""
+    each = [record(d, episodes=episodes) for d in dampings]
     data = replace(each[0], episodes=tuple(e for part in each for e in part))
     return mujoco.MjSpec.from_string(SWING.format(damping=NOMINAL, actuator=MOTOR)), data
 
 
-def changes_of(*dampings):
+def changes_of(*dampings, episodes=5):
     """What is said of them."""
-    spec, data = recordings(*dampings)
+    spec, data = recordings(*dampings, episodes=episodes)
     return diagnose(spec, data, candidates=["joint_damping"], threads=1).result.changes
 
 
@@ -43,6 +43,12 @@ def test_a_damping_that_rises_between_episodes_is_found_with_its_values():
     values, halves = np.array(found[0].series)[:, 1:].T
     assert values[:5] == pytest.approx(0.05, abs=0.005) and values[5:] == pytest.approx(0.08, abs=0.005)
     assert halves.max() < 0.01, "intervals are of what is around the change, not of the change"
+
+
+def test_a_damping_that_grows_fivefold_has_its_ends_and_its_share_by_simulation():
+    (found,) = changes_of(*np.linspace(0.04, 0.2, 8), episodes=1).found
+    assert found.kind == "drift_over" and (found.first, found.last) == pytest.approx((0.04, 0.2), rel=0.05)
+    assert found.removed_share > 0.95
 
 
 def test_where_nothing_changes_nothing_is_found():
