@@ -13,6 +13,7 @@ from cli.fit import GroundingCLI
 from idapt_pl.files import write_atomically
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.run import Run
+from idapt_pl.run_folder.shipped_configs import config_path
 from idapt_pl.targets import RecordedTarget
 from idapt_pl.targets.trial_moves import TrialMoves, suspicions, try_moves
 
@@ -23,7 +24,9 @@ LARGE = 4
 def main(args: list[str]) -> int:
     """Run ``idapt check``. Returns 1 if something looks wrong."""
     p = parser("check", __doc__)
-    p.add_argument("--config", type=Path, action="append", required=True, help="as of `idapt fit`; may be repeated")
+    p.add_argument(
+        "--config", type=config_path, action="append", required=True, help="as of `idapt fit`; may be repeated"
+    )
     p.add_argument("--out", type=Path, default=Path("check.png"), help="picture to write")
     p.add_argument("--share", type=float, default=0.3, help="how far actuators are pushed, of their ranges")
     p.add_argument(

@@ -22,6 +22,7 @@ from rich.live import Live
 from cli.arguments import parser, show_bar
 from cli.fit import GroundingCLI, current
 from cli.interrupt import Interrupted
+from idapt_pl.run_folder.shipped_configs import config_path
 from idapt_pl.sweep.folder import BY_HAND, DONE, FAILED, RUNNING, SweepFolder
 from idapt_pl.sweep.plan import PlannedRun, plan_sweep
 from idapt_pl.sweep.report import write_sweep_report
@@ -65,7 +66,7 @@ def main(args: list[str]) -> int:
     """Run ``idapt sweep``. Returns 1 if runs have failed, 3 if some wait for recordings."""
     p = parser("sweep", __doc__, EXAMPLES)
     p.add_argument("action", nargs="?", choices=ACTIONS, default="run", help="what to do")
-    p.add_argument("--config", type=Path, help="YAML of the sweep")
+    p.add_argument("--config", type=config_path, help="YAML of the sweep")
     p.add_argument("--folder", type=Path, help="folder of the sweep, in place of the YAML's; alone, one that was begun")
     p.add_argument("--dry-run", action="store_true", help="say what would run, and run nothing")
     p.add_argument("--index", type=int, help="carry out this one run, counted from 0")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import idapt_pl
 from idapt_pl.files import read_yaml
 from idapt_pl.ranges import SEED
+from idapt_pl.run_folder.shipped_configs import ABOVE
 from idapt_pl.targets import target_name
 from idapt_pl.tasks import TASKS
 
@@ -380,7 +380,7 @@ def config_file(name: str, target: str, where: str) -> Path:
         ValueError: if there is none.
     """
     told = name.replace("{target}", target)
-    for path in (Path(told), Path(idapt_pl.__file__).parents[1] / told):
+    for path in (Path(told), ABOVE / told):
         if path.is_file():
             return path
     raise ValueError(f"{where}: there is no file {told}; names of files are relative to the folder you are in")
