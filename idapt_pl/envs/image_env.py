@@ -40,7 +40,8 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         frame_stack: K.
         view: the part of the camera's image that is rendered.
         render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
-        variants: worlds that episodes begin in, drawn anew for each, in place of ``domain`` (domain randomisation).
+        variants: worlds that episodes begin in, in place of ``domain`` (domain randomisation): shuffled, and each once
+            before any comes again.
     """
 
     single_action_space: gymnasium.spaces.Box
@@ -65,7 +66,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._compiled = [v.compile(view) for v in variants] or [self.model]
         check_alike(self.model, self._compiled)
         self._drawn = np.zeros(num_envs, int)
-        self._variant_rng = np.random.default_rng()
+        self._variant_rng, self._to_come = np.random.default_rng(), list[int]()
         self.data = [mujoco.MjData(self._compiled[0]) for _ in range(num_envs)]
         self._render = self._make_renderer(image_size, render_processes)
         self._rng = np.random.default_rng()
@@ -104,6 +105,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         if seed is not None:
             self._rng = np.random.default_rng(seed)
             self._variant_rng = np.random.default_rng([seed, len(self.variants)])  # starts are drawn as without any
+            self._to_come = []
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
         self._reset(np.flatnonzero(mask))
         return self._observe(), {}
@@ -159,9 +161,11 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._frames[which] = self._render([self.data[i] for i in which])[:, None]
 
     def _draw_variant(self, i: int) -> mujoco.MjModel:
-        """Put simulation ``i`` into a variant of its own. Returns its model."""
+        """Put simulation ``i`` into the next variant. Returns its model."""
         if len(self.variants) > 1:
-            self._drawn[i] = self._variant_rng.integers(len(self.variants))
+            if not self._to_come:
+                self._to_come = self._variant_rng.permutation(len(self.variants)).tolist()
+            self._drawn[i] = self._to_come.pop()
             self.data[i] = mujoco.MjData(self._compiled[self._drawn[i]])
         return self._compiled[self._drawn[i]]
 

@@ -83,10 +83,24 @@ def test_the_simulations_of_an_environment_are_in_variants_of_their_own_and_are_
     with closing(VectorStateEnv(cart, source, 16, variants)) as env:
         env.reset(seed=1)
         heavy = np.array([m.body("cart").mass[0] > 10 for m in env.models])
-        assert 0 < heavy.sum() < 16
+        assert heavy.sum() == 8, "each as often as the other"
         obs, *_ = env.step(np.full((16, 1), 20, np.float32))
         speeds = np.abs(obs["state"][:, 1])
     assert speeds[heavy].max() < 0.01 * speeds[~heavy].min()
+
+
+def test_every_variant_comes_once_before_any_comes_again_also_across_resets(cart):
+    source = cart.domain("source")
+    variants = [source.with_effects(BodyMass("cart", m)) for m in (1.0, 2.0, 3.0, 4.0, 5.0)]
+    with closing(VectorStateEnv(cart, source, 2, variants)) as env:
+        for seed in (0, 1):
+            env.reset(seed=seed)
+            drawn = env._drawn.tolist()
+            while len(drawn) < 20:
+                env.reset()
+                drawn += env._drawn.tolist()
+            rounds = np.reshape(drawn, (4, 5))
+            assert (np.sort(rounds) == np.arange(5)).all() and len({tuple(r) for r in rounds.tolist()}) > 1
 
 
 def test_commands_go_through_each_variants_own_effects():
