@@ -34,5 +34,6 @@ def fit_P_S(
     def feed(module: StatePredictor, seed: int, device: torch.device) -> LabelledImages:
         return LabelledImages(source, c.worlds.frame_stack, c.batches.state_predictor_batch, batches, seed)
 
-    build = continued(lambda: c.make.state_predictor(**c.worlds.dimensions), initial)
+    as_before = {} if initial is None else {"relight": initial.hparams.relight}  # π's encoder learns in other lights
+    build = continued(lambda: c.make.state_predictor(**c.worlds.dimensions, **as_before), initial)
     return c.stages.fit(step, name, build, feed, batches)
