@@ -91,11 +91,11 @@ def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:
     """
     results: dict[str, dict] = {}
     for name, path in finished_policies(run):
-        act = deterministic(run.load_policy(path))
-        results[name] = {"target": in_target(run, name, act, episodes, seed)}
+        policy = run.load_policy(path)
+        results[name] = {"target": in_target(run, name, deterministic(policy), episodes, seed)}
         if name == "direct transfer":  # the others expect translated images
             with closing(run.worlds.image_env(run.plain_source, min(episodes, 25))) as env:
-                results[name]["source"] = evaluate(env, act, episodes, seed).to_dict()
+                results[name]["source"] = evaluate(env, deterministic(policy), episodes, seed).to_dict()
     return results
 
 

@@ -26,12 +26,13 @@ from idapt_pl.image_diagnosis.known_effects import fill_known
 from idapt_pl.randomisation.settings import fill_ranges
 from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run
-from idapt_pl.run_config import RunConfig
+from idapt_pl.run_config import RunConfig, usual_folder
 from idapt_pl.run_folder.kept_config import without_retired
 from idapt_pl.run_folder.time_left import TimeLeft, expected_seconds
 from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.schedule import fill_lengths
+from idapt_pl.stages.shortened import shorten
 
 
 class StageProgressBar(TQDMProgressBar):
@@ -69,6 +70,9 @@ class GroundingCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         self.config.trainer.devices = one_device(self.config.trainer)
         fill_lengths(self.config.schedule, self.config.task, self.config.target)
+        if self.config.shorten > 1 and self.config.run_dir is None:
+            self.config.run_dir = usual_folder(self.config.task, self.config.target, self.config.seed) + "_short"
+        shorten(self.config)
         fill_known(self.config.effects)
         fill_ranges(self.config.randomisation, self.config.task)
         self.config_init = self.parser.instantiate_classes(self.config)

@@ -66,14 +66,14 @@ class Run:
             ValueError: an unknown task or target, or a task whose states the config's settings cannot work with.
         """
         task = make_task(config.task, config.task_options)
-        ledger = Ledger(config.folder / "ledger.json")
+        ledger, known = Ledger(config.folder / "ledger.json"), known_effects(config.effects.known, task)
         processes = usual_processes() if config.render_processes is None else config.render_processes
         worlds = Worlds(
             task, task.domain("source"), make_target(config.target, task), ledger,
             config.image_size, config.frame_stack, config.view, processes, config.randomisation.distribution(task.name),
-            config.randomisation.variants, config.seed,
+            config.randomisation.variants, config.seed, known,
         )  # fmt: skip
-        worlds.add_effects(known_effects(config.effects.known, task))
+        worlds.add_effects(known)
         check_randomisation(config, worlds)
         check_exploration(config, worlds)
         if config.labels.members:  # better said before hours of G
@@ -106,10 +106,9 @@ class Run:
     @property
     def plain_source(self) -> Domain:
         """The source that the policy of direct transfer trains in: what is found of its physics is not in it."""
-        looks, task = self.folder / "step_00/looks.json", self.context.worlds.task
+        looks = self.folder / "step_00/looks.json"
         found = read_json(looks)["effects"] if looks.exists() else []
-        known = known_effects(self.config.effects.known, task)
-        return task.domain("source").with_effects(*known, *map(effect_from_dict, found))
+        return self.worlds.first_source.with_effects(*map(effect_from_dict, found))
 
     def restore_ledger(self) -> list[str]:
         """Make the ledger say what the run's files hold, if it does not. Returns what was wrong with it.

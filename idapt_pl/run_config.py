@@ -157,6 +157,13 @@ class RunConfig:
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
+        parser.add_argument(
+            "--shorten",
+            type=float,
+            default=1.0,
+            help="divide all lengths by this, such as 50, and take one grounding step: every stage in minutes, to see "
+            "whether everything works; what it learns is worth nothing. Its run folder ends with _short",
+        )
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
         for name, settings in SETTINGS.items():
             if name != "view":
@@ -268,6 +275,17 @@ class RunConfig:
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
         check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.labels.members, self.schedule)
+        if self.schedule.paired_steps and not self.modules["visual"]["reset_weight"]:
+            raise ValueError(
+                f"schedule.paired_steps is {self.schedule.paired_steps}, but G learns nothing from pairs, as "
+                "visual.reset_weight is 0. Set one or the other."
+            )
+        learns_F = self.method == "idapt" and self.schedule.action_transformation and self.schedule.grounding_steps
+        if learns_F and not self.schedule.finetune.dynamics:
+            raise ValueError(
+                "schedule.finetune.dynamics is 0 rollouts, but schedule.action_transformation is true: F would be used "
+                "untrained. Give rollouts, such as 10, or schedule.action_transformation: false."
+            )
         if self.feeding.garat_start == "matching" and self.schedule.action_transformation and encoder != "supervised":
             raise ValueError(
                 f"feeding.garat_start is matching, but policy.encoder is {encoder}: matching needs features that are "
@@ -277,8 +295,12 @@ class RunConfig:
     @property
     def folder(self) -> Path:
         """The run folder."""
-        task, target = map(in_file_names, (self.task, target_name(self.target)))
-        return Path(self.run_dir or f"runs/{task}_{target}_{self.seed}")
+        return Path(self.run_dir or usual_folder(self.task, self.target, self.seed))
+
+
+def usual_folder(task: str, target: str | dict[str, Any], seed: int) -> str:
+    """The run folder where none is given."""
+    return f"runs/{in_file_names(task)}_{in_file_names(target_name(target))}_{seed}"
 
 
 def in_file_names(name: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ class Worlds:
     distribution: DomainDistribution = ALWAYS_THE_SAME
     variant_count: int = 32
     variant_seed: int = 0
+    known_effects: Sequence[Effect] = ()
 
     def add_effects(self, effects: Iterable[Effect]) -> None:
         """Add effects to the source, for all environments made from now on."""
@@ -44,6 +45,11 @@ class Worlds:
     def added_effects(self) -> tuple[Effect, ...]:
         """Effects that were added to the source."""
         return self.source_domain.effects[len(self.task.domain("source").effects) :]
+
+    @property
+    def first_source(self) -> Domain:
+        """The source that the run began with, known effects included; what explores acts in it throughout."""
+        return self.task.domain("source").with_effects(*self.known_effects)
 
     def source(self, num_envs: int) -> VectorImageEnv:
         """The source: images, state, reward."""

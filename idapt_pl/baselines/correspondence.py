@@ -82,15 +82,13 @@ class Correspondence(ABC):
         """The policy's return in the target, and in the source where that is shown as the target and seen back."""
         worlds, evaluation = self.grounding.context.worlds, self.grounding.evaluation
 
-        act = deterministic(pi)
-
         def make(seed: int, kept: KeptOutcomes) -> dict:
             target = {}
             if worlds.target.measured:
                 env = self.seen(worlds.rewarded_target(min(evaluation.episodes, 25)), G)
-                target = evaluation.play_target(env, act, seed, kept)
+                target = evaluation.play_target(env, deterministic(pi), seed, kept)
             with closing(self.seen(worlds.grounded(TRIED, G), G)) as env:
-                there = evaluate(env, act, TRIED, seed)
+                there = evaluate(env, deterministic(pi), TRIED, seed)
             return {"target": target, "grounded": {"mean": there.mean, "std": there.std}, "translation": {}}
 
         return evaluation.measured(k, make)

@@ -136,6 +136,11 @@ def register_laws(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
         _LAWS[model] = laws
 
 
+def has_laws(model: mujoco.MjModel) -> bool:
+    """Whether force laws are registered for a model."""
+    return model in _LAWS
+
+
 def advance(model: mujoco.MjModel, data: mujoco.MjData, steps: int = 1) -> None:
     """``mj_step``, with the laws that are registered for the model."""
     laws = _LAWS.get(model)

@@ -16,7 +16,6 @@ class Patient:
 
     def __init__(self) -> None:
         self._calls: queue.SimpleQueue = queue.SimpleQueue()
-        self._answers: queue.SimpleQueue = queue.SimpleQueue()
         threading.Thread(target=self._work, daemon=True).start()  # daemon: what hangs must not keep the process
 
     def __call__(self, function: Callable[..., Any], *args: Any, seconds: float | None, **kwargs: Any) -> Any:
@@ -31,9 +30,10 @@ class Patient:
         Raises:
             TimeoutError: if it takes longer. It goes on, so this one must not be used any more.
         """
-        self._calls.put((function, args, kwargs))
+        answers: queue.SimpleQueue = queue.SimpleQueue()  # its own: an answer that nobody waited for is no other call's
+        self._calls.put((function, args, kwargs, answers))
         try:
-            result, error = self._answers.get(timeout=seconds)
+            result, error = answers.get(timeout=seconds)
         except queue.Empty:
             raise TimeoutError(f"no answer within {seconds:g} s") from None
         if error is not None:
@@ -42,8 +42,8 @@ class Patient:
 
     def _work(self) -> None:
         while True:
-            function, args, kwargs = self._calls.get()
+            function, args, kwargs, answers = self._calls.get()
             try:
-                self._answers.put((function(*args, **kwargs), None))
+                answers.put((function(*args, **kwargs), None))
             except BaseException as error:
-                self._answers.put((None, error))
+                answers.put((None, error))

@@ -180,10 +180,12 @@ class RobotEnv(gymnasium.vector.VectorEnv):
             raise stopped
 
     def close_extras(self, **kwargs: Any) -> None:
-        if not isinstance(self._stopped, TargetFailed):
-            self._raise_what_stopped_it()  # a person did
-        if not self._hangs:  # or it would be waited for again
-            self._ask("be closed", self.settings.patience, self._robot.close)
+        try:
+            if not self._hangs:  # or it would be waited for again
+                self._ask("be closed", self.settings.patience, self._robot.close)
+        finally:
+            if not isinstance(self._stopped, TargetFailed):
+                self._raise_what_stopped_it()  # a person did
 
     def _ask(self, what: str, seconds: float | None, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call the robot; whatever goes wrong is said to be its."""

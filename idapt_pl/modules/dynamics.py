@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from idapt_pl.losses import gail_reward, generalized_advantage, gradient_penalty, ppo_clip
 from idapt_pl.modules.manual import ManualModule
 from idapt_pl.nets.mlp import mlp
+from idapt_pl.nets.units import Units, take_in_units
 
 
 class ActionTransformation(ManualModule):
@@ -130,12 +131,35 @@ class ActionTransformation(ManualModule):
     def on_fit_start(self) -> None:
         self.standardise(self.trainer.datamodule.target_transitions)
 
+    @torch.no_grad()
     def standardise(self, target: dict[str, Tensor]) -> None:
-        """Take mean and spread from the target's transitions."""
-        change = target["next_features"] - target["features"]
-        for name, values in (("feature", target["features"]), ("change", change)):
-            getattr(self, f"{name}_mean").copy_(values.mean(0))
-            getattr(self, f"{name}_std").copy_(values.std(0).clamp(min=1e-3))
+        """Take mean and spread from the target's transitions. An F that goes on stays the function that it was."""
+        d, goes_on = len(self.feature_mean), not self.is_new
+        changes = target["next_features"] - target["features"]
+        for name, values in (("feature", target["features"]), ("change", changes)):
+            mean, std = getattr(self, f"{name}_mean"), getattr(self, f"{name}_std")
+            before, now = Units(mean.clone(), std.clone()), Units(values.mean(0), values.std(0).clamp(min=1e-3))
+            if goes_on:
+                first = slice(0, d) if name == "feature" else slice(-d, None)
+                nets = (self.actor[0], self.affine, self.value[0], self.D[0]) if name == "feature" else (self.D[0],)
+                for layer in nets:
+                    take_in_units(layer.weight[:, first], layer.bias, before, now)
+            mean.copy_(now.mean)
+            std.copy_(now.std)
+
+    @property
+    def is_new(self) -> bool:
+        """Whether no data have told the scale of features yet."""
+        return bool((self.feature_std == 1).all() and (self.feature_mean == 0).all())
+
+    @torch.no_grad()
+    def tell_features_in_units(self, before: Units, now: Units) -> None:
+        """The features are standardised otherwise now: the same scales in their new units."""
+        ratio = before.std / now.std
+        self.feature_mean.mul_(ratio).add_((before.mean - now.mean) / now.std)
+        self.change_mean.mul_(ratio)
+        for std in (self.feature_std, self.change_std):
+            std.mul_(ratio)
 
     def training_step(self, batch: dict[str, dict[str, Tensor]], index: int) -> None:
         """One rollout: D on agent against target, then PPO on the reward D gives."""

@@ -61,10 +61,9 @@ def step_story(record: RunRecord, step: StepRecord, metric: str) -> list[str]:
         psnr = format_number(translation["psnr"])
         sentences[place] += f" What G draws is {psnr} dB (PSNR) from the target's image of the same state."
     if (attempts := step.training.get("attempts", 1)) > 1:
-        best = max(step.training["trial_before"], step.training["trial_after"])
         sentences.append(
             f"The policy trained {attempts} times, as it fell short of what the source's policy does in the source; it "
-            f"ended with {format_score(best, metric)} in the grounded source."
+            f"ended with {format_score(step.training['trial_kept'], metric)} in the grounded source."
         )
     if step.training.get("kept") == "before":
         before, after = (format_score(step.training[f"trial_{k}"], metric) for k in ("before", "after"))

@@ -91,10 +91,9 @@ def play(
             taken += env.num_envs
             successor = infos.get("final_obs", obs)
             ended = terminations | truncations
-            if horizon and len(running[0].actions) + 1 >= horizon and not ended.any():
+            cut = bool(horizon) and len(running[0].actions) + 1 >= (horizon or 0) and not ended.any()
+            if cut:
                 truncations, ended = np.ones_like(truncations), np.ones_like(ended)
-                if taken < steps:
-                    obs, _ = env.reset()
             tick(act, ended)
             for i, builder in enumerate(running):
                 builder.add(actions[i], successor, i, (rewards[i], terminations[i], truncations[i]))
@@ -103,6 +102,9 @@ def play(
                     running[i] = _EpisodeBuilder(obs, i, pixels)
                     if keep is not None:
                         keep(episodes[-1][1])
+            if cut and taken < steps:  # after what was taken is kept: a robot may fail to begin anew
+                obs, _ = env.reset()
+                running = [_EpisodeBuilder(obs, 0, pixels)]
     except BaseException:  # also of a person who stops a robot
         if keep is not None:
             for builder in running:

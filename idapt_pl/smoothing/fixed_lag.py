@@ -112,8 +112,10 @@ class EnsembleFilter:
             self.begin(reading)
             seen = self.ensemble.states(self._guesses)
         past = [*self.past, seen][-self.lag - 1 :]
+        if self._is_read:  # the guesses were drawn about this reading: it counts once
+            self._is_read, self.past = False, past
+            return surprise, lost
         better = corrected(np.concatenate([self._guesses, *past], 1), seen, reading, self.expected.error, self._rng)
-        self._is_read = False
         self._guesses, flat = np.split(better, [self._guesses.shape[1]], axis=1)
         self.past = list(np.split(flat, len(past), axis=1))
         return surprise, lost

@@ -33,7 +33,7 @@ def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) ->
     if exploration == "rehearse":
         teacher = source_teacher(c)
         torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
-        return OpenLoopReplay(teacher, VectorStateEnv(c.worlds.task, c.worlds.task.domain("source"), num_envs), seed)
+        return OpenLoopReplay(teacher, VectorStateEnv(c.worlds.task, c.worlds.first_source, num_envs), seed)
     kinds = exploration.split("+")
     experts = {kind: expert_of(c, kind) for kind in kinds if kind in EXPERTS}
     if experts:
@@ -49,7 +49,7 @@ def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) ->
 def expert_of(c: StageContext, kind: str) -> StateSAC:
     """An expert of the source, or a policy that is paid for going backwards; trained on states, as a stage."""
     task = c.worlds.task.backwards() if kind == "backwards" else c.worlds.task
-    return train_expert(task, c.worlds.task.domain("source"), task.expert, c.stages, EXPERTS[kind])
+    return train_expert(task, c.worlds.first_source, task.expert, c.stages, EXPERTS[kind])
 
 
 def source_teacher(c: StageContext) -> StateSAC:
@@ -84,6 +84,8 @@ def record_target(
             with closing(blind if seen is None else seen(blind)) as env:
                 keep = None if target.repeatable else kept.add
                 number, images = seed + len(before), "pixels" if seen is None else "source_pixels"
+                if before:
+                    torch.manual_seed(number)  # or a policy that samples would play the noise of the first part again
                 played = collect(env, make_policy(number), left, number, about, images, keep, horizon)
             before.extend(played)
         return Trajectories(tuple(before), kept.dt, about)

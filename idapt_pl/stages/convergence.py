@@ -129,5 +129,6 @@ def law_remainders(c: StageContext, scale: ActionTransformation, target: Sequenc
         return ()
     files = [target[0], *target[-1:]] if len(target) > 1 else list(target)
     states, actions, first = seen_states(c, scale, files)
-    left = held_out_remainders(scale, c.worlds.task, model, states, actions, first, c.batches.garat_ridge)
+    source = c.worlds.source_domain
+    left = held_out_remainders(scale, c.worlds.task, source, states, actions, first, c.batches.garat_ridge)
     return tuple(round(float(value), 8) for value in left)

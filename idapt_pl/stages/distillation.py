@@ -230,6 +230,8 @@ class Distillation:
         policy = build().hparams  # its critics are to be the student's
         recipe = replace(self.worlds.task.expert, gamma=policy.gamma)
         recipe = replace(recipe, steps=self.settings.steps if fresh else self.settings.adapt)
+        if F is not None:  # those that make_env makes
+            recipe = replace(recipe, num_envs=self.num_envs)
 
         def build_expert() -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
@@ -267,6 +269,8 @@ class Distillation:
     ) -> StateSAC:  # fmt: skip
         """The teacher of :meth:`up_to_date` after it has learned to bear measured errors (T, s)."""
         recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=self.settings.harden)
+        if F is not None:
+            recipe = replace(recipe, num_envs=self.num_envs)
         known = self.expert
         assert known is not None  # to_be_hardened
 

@@ -22,6 +22,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.nets.units import Units
 from idapt_pl.rl.grounded_rollout import garat_rollout
 from idapt_pl.rl.policy import Acting, Policy
 from idapt_pl.stages.context import StageContext
@@ -60,6 +61,8 @@ def fit_F(
         if initial is not None:  # F continues, on the newest features
             kept = {k: v for k, v in initial.state_dict().items() if not k.startswith("encoder.")}
             module.load_state_dict(kept, strict=False)
+            if isinstance(module.encoder, PixelStatePredictor) and isinstance(initial.encoder, PixelStatePredictor):
+                module.tell_features_in_units(Units.of(initial.encoder), Units.of(module.encoder))
         return module
 
     def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
@@ -88,9 +91,8 @@ def start_by_matching(c: StageContext, F: ActionTransformation, target: Sequence
             "feeding.garat_start: matching needs features that are states, i.e. policy.encoder: supervised; "
             "with a learned encoder use garat_start: identity"
         )
-    model = c.worlds.source_domain.compile()
     seen = seen_states(c, F, target, hold_out)
-    left = initialise_by_matching(F, c.worlds.task, model, *seen, c.batches.garat_ridge)
+    left = initialise_by_matching(F, c.worlds.task, c.worlds.source_domain, *seen, c.batches.garat_ridge)
     weights = F.affine.weight.detach().flatten().numpy().round(3).tolist()
     log.info("F by trajectory matching: %s; left %.3g", weights, left)
 

@@ -86,12 +86,11 @@ def fit_grounded_policy(
     elif c.teacher.settings.steps:
         initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)
 
+    in_source = c.stages.notes(0, "source_policy").get("trial_after")
+    trials = GroundedTrials(c.batches.trial_episodes, c.batches.trial_repeats, in_source)
+
     def finish(policy: AsymmetricSAC, device: torch.device, attempt: int) -> dict:
-        if not (episodes := c.batches.trial_episodes):
-            return {}
-        in_source = c.stages.notes(0, "source_policy").get("trial_after")
-        trials = GroundedTrials(episodes, c.batches.trial_repeats, in_source)
-        return trials(policy, initial, (make_env(device), make_env(device)), attempt)
+        return trials(policy, initial, lambda: make_env(device), attempt) if c.batches.trial_episodes else {}
 
     return fit_policy(c, step, "policy", make_env, length_of(lengths.policy), initial, finish=finish)
 

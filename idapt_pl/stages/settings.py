@@ -66,6 +66,11 @@ class BatchSettings:
         ranges |= {"buffer_size": COUNT, "warmup_steps": COUNT_OR_NONE, "trial_episodes": COUNT_OR_NONE}
         ranges["trial_repeats"] = Range(0, 100)
         check_ranges("feeding", vars(self), ranges | {"garat_exploring": SHARE, "garat_ridge": NOT_NEGATIVE})
+        if self.trial_repeats and not self.trial_episodes:
+            raise ValueError(
+                f"feeding.trial_repeats is {self.trial_repeats}, but no episodes say whether a policy is to train "
+                "again: give feeding.trial_episodes, such as 5, or feeding.trial_repeats 0"
+            )
         if self.garat_rollout < self.garat_envs:
             raise ValueError(
                 f"feeding.garat_rollout is {self.garat_rollout} steps for the {self.garat_envs} simulations of "

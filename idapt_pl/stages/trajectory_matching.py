@@ -16,6 +16,8 @@ import torch
 from mujoco import rollout
 from torch import Tensor
 
+from idapt_pl.effects import Domain
+from idapt_pl.effects.acting import has_laws
 from idapt_pl.estimation.least_squares import huber_weights, project_out
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.tasks import Task
@@ -88,14 +90,16 @@ class TrajectoryMatching:
 
     Args:
         task: gives the state vector and the control period.
-        model: of the source.
+        domain: the source.
         seen: what to match.
         act: the action law.
     """
 
-    def __init__(self, task: Task, model: mujoco.MjModel, seen: MatchingWindows, act: ActionLaw) -> None:
-        self.task, self.model, self.seen, self.act = task, model, seen, act
+    def __init__(self, task: Task, domain: Domain, seen: MatchingWindows, act: ActionLaw) -> None:
+        self.task, self.domain, self.seen, self.act = task, domain, seen, act
+        self.model = model = domain.compile()
         self.data = [mujoco.MjData(model) for _ in range(2)]
+        self.each: list[mujoco.MjData] = []
         self.dt = task.period(model)
         # time, positions, velocities; then what actuators with a lag or delay remember, which is nothing yet
         self.rest = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
@@ -105,17 +109,36 @@ class TrajectoryMatching:
         """Positions along every window, (n, (H+1) nq)."""
         m = self.model
         low, high = m.actuator_ctrlrange.T
-        substeps = self.task.frame_skip * self.task.action_repeat
+        play = self.simulate_each if has_laws(m) else self.simulate_together
         x = np.repeat(self.rest[None], len(qpos), 0)
         x[:, 1 : 1 + m.nq + m.nv] = np.concatenate([qpos, qvel], 1)
         seen = [qpos]
         for j in range(self.seen.actions.shape[1]):
             states = x[:, 1 : 1 + m.nq + m.nv]
             u = np.clip(self.act(parameters, states, self.seen.actions[:, j]), low, high)
-            after, _ = rollout.rollout(m, self.data, x, np.repeat(u[:, None], substeps, 1), persistent_pool=True)
-            x = after[:, -1]
+            x = play(x, self.domain.command(m, u))
             seen.append(x[:, 1 : 1 + m.nq])
         return np.stack(seen, 1).reshape(len(qpos), -1)
+
+    def simulate_together(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """States (n, full physics) after a control step with commands (n, nu)."""
+        substeps = self.task.frame_skip * self.task.action_repeat
+        held = np.repeat(u[:, None], substeps, 1)
+        after, _ = rollout.rollout(self.model, self.data, x, held, persistent_pool=True)
+        return after[:, -1]
+
+    def simulate_each(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """The same one by one, where force laws act that MuJoCo does not know of."""
+        if len(self.each) != len(x):
+            self.each = [mujoco.MjData(self.model) for _ in x]
+        after = np.empty_like(x)
+        for data, before, command, now in zip(self.each, x, u, after, strict=True):
+            mujoco.mj_setState(self.model, data, before, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            mujoco.mj_forward(self.model, data)
+            for _ in range(self.task.action_repeat):
+                self.task.play(self.model, data, command)
+            mujoco.mj_getState(self.model, data, now, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        return after
 
     def fit(
         self, parameters: np.ndarray, free: np.ndarray, ridge: float, iterations: int = 8
@@ -216,7 +239,7 @@ class MatchingProblem:
 def matching_problem(
     F: ActionTransformation,
     task: Task,
-    model: mujoco.MjModel,
+    domain: Domain,
     states: Tensor,
     actions: Tensor,
     first: np.ndarray,
@@ -227,7 +250,7 @@ def matching_problem(
     Args:
         F: the action transformation; its features must be standardised states (``encoder: supervised``).
         task: the task, whose state must be its positions followed by its velocities.
-        model: of the source.
+        domain: the source.
         states: estimated from the target's images, in units, (N, state_dim).
         actions: (N, nu).
         first: index of the first observation of each observation's episode.
@@ -236,6 +259,7 @@ def matching_problem(
     Raises:
         ValueError: if the state is another one, or no episode is long enough.
     """
+    model = domain.compile()
     if model.nq + model.nv != states.shape[1]:
         raise ValueError(f"trajectory matching needs a state of positions and velocities; {task.name} has another one")
     nu = len(F.low)
@@ -251,14 +275,14 @@ def matching_problem(
     position, _, action = np.split(columns[:, :-1], [model.nq, model.nq + model.nv], 1)
     base = np.concatenate([action, columns[:, -1:]], 1)
     laws = (np.zeros(0, int), base.ravel(), np.concatenate([base, position], 1).ravel(), columns.ravel())
-    return MatchingProblem(lambda part: TrajectoryMatching(task, model, part, law), seen, laws, columns.size)
+    return MatchingProblem(lambda part: TrajectoryMatching(task, domain, part, law), seen, laws, columns.size)
 
 
 @torch.no_grad()
 def initialise_by_matching(
     F: ActionTransformation,
     task: Task,
-    model: mujoco.MjModel,
+    domain: Domain,
     states: Tensor,
     actions: Tensor,
     first: np.ndarray,
@@ -269,7 +293,7 @@ def initialise_by_matching(
     Arguments and errors are of :func:`matching_problem`; ``ridge`` is the weight of the squared coefficients, against
     the noise of the estimates.
     """
-    problem = matching_problem(F, task, model, states, actions, first)
+    problem = matching_problem(F, task, domain, states, actions, first)
     fitted, left = problem.simplest_predictive_law(ridge)
     weights = torch.from_numpy(fitted).float().view(len(F.low), -1)
     F.affine.weight.copy_(weights[:, :-1])
@@ -281,11 +305,11 @@ def initialise_by_matching(
 def held_out_remainders(
     F: ActionTransformation,
     task: Task,
-    model: mujoco.MjModel,
+    domain: Domain,
     states: Tensor,
     actions: Tensor,
     first: np.ndarray,
     ridge: float,
 ) -> list[float]:
     """What every law leaves of held-out episodes, m or rad; the first is that of the actions as they are."""
-    return matching_problem(F, task, model, states, actions, first).compare(ridge)[1]
+    return matching_problem(F, task, domain, states, actions, first).compare(ridge)[1]

@@ -249,6 +249,7 @@ def test_algorithm_1_starts_with_a_preset(task, name, tmp_path):
     small = TINY | {
         "schedule.lengths": "given", "schedule.grounding_steps": 1, "run_dir": tmp_path / "run",
         "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0, "feeding.trial_episodes": 0,
+        "feeding.trial_repeats": 0,
         "feeding.buffer_size": 100, "schedule.exploration": "random",
     }  # fmt: skip
     overrides = [f"--{k}={v}" for k, v in small.items()]

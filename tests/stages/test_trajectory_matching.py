@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 import torch
 
+from idapt_pl.effects.actuators import ActuatorDeadzone
+from idapt_pl.effects.joints import JointStribeck
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.stages.trajectory_matching import (
@@ -55,7 +57,7 @@ def recorded(law, noise, seed=0):
             data.ctrl[:] = law(s, a)
             mujoco.mj_step(model, data, task.frame_skip)
     tensors = (torch.tensor(np.array(x), dtype=torch.float32) for x in (states, actions))
-    return (task, model, *tensors, np.array(first))
+    return (task, task.domain("source"), *tensors, np.array(first))
 
 
 def transformed(F, state, action):
@@ -85,10 +87,10 @@ def test_a_law_with_damping_uses_velocities(F):
 
 
 def test_one_long_episode_is_halved(F):
-    task, model, states, actions, first = recorded(lambda s, a: 0.3 * a, 1e-4)
+    task, source, states, actions, first = recorded(lambda s, a: 0.3 * a, 1e-4)
     one = first * 0
     inside = np.arange(len(one)) < 12  # the others would follow on from it
-    initialise_by_matching(F, task, model, states[inside], actions[inside], one[inside], ridge=1.0)
+    initialise_by_matching(F, task, source, states[inside], actions[inside], one[inside], ridge=1.0)
     assert transformed(F, [0.0] * 4, 2.0) == pytest.approx(0.6, abs=0.2)
 
 
@@ -110,11 +112,18 @@ def test_too_short_episodes_are_refused():
         cut_windows(np.zeros((6, 1)), np.zeros((6, 1)), np.array([0, 0, 0, 3, 3, 3]), 5, 1)
 
 
-@pytest.mark.parametrize("effect", [None, ActuatorDelay("slide", 0.1), ActuatorLag("slide", 0.08)])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        None, ActuatorDelay("slide", 0.1), ActuatorLag("slide", 0.08), ActuatorDeadzone("slide", 1.0),
+        JointStribeck("slider", 2.0, 4.0, 0.1),
+    ],
+)  # fmt: skip
 def test_what_is_replayed_is_what_the_repaired_source_does(effect):
     """Also where a lag or a delay was found, whose actuators remember: a replay begins with nothing remembered."""
     task, rng = make_task("inverted_pendulum"), np.random.default_rng(0)
-    model = task.domain("source").with_effects(*[effect] * (effect is not None)).compile()
+    source = task.domain("source").with_effects(*[effect] * (effect is not None))
+    model = source.compile()
     actions = rng.uniform(-3, 3, (3, 8, 1))
     starts = rng.uniform(-0.05, 0.05, (3, 4))
     expected = np.zeros((3, 9, 2))
@@ -123,10 +132,10 @@ def test_what_is_replayed_is_what_the_repaired_source_does(effect):
         data.qpos[:], data.qvel[:] = starts[n, :2], starts[n, 2:]
         expected[n, 0] = data.qpos
         for t in range(8):
-            task.play(model, data, actions[n, t])
+            task.play(model, data, source.command(model, actions[n, t : t + 1])[0])
             expected[n, t + 1] = data.qpos
     windows = MatchingWindows(expected, actions, np.arange(3))
-    matching = TrajectoryMatching(task, model, windows, lambda parameters, states, a: a)
+    matching = TrajectoryMatching(task, source, windows, lambda parameters, states, a: a)
     replayed = matching.replay(np.zeros(0), starts[:, :2], starts[:, 2:]).reshape(expected.shape)
     np.testing.assert_allclose(replayed, expected, atol=1e-9)
     assert np.abs(expected[:, -1] - expected[:, 0]).max() > 0.05
