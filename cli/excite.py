@@ -13,6 +13,7 @@ See docs/guide/excite.md.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
@@ -69,8 +70,8 @@ def command_line() -> argparse.ArgumentParser:
     for name, (value, what) in spans.items():
         p.add_argument(f"--{name}", nargs="+", default=[], metavar=f"[NAME=]{value}", help=f"limit {what}")
     p.add_argument(
-        "--no-contact", action=argparse.BooleanOptionalAction, default=True,
-        help="nothing may touch that does not touch at the start",
+        "--contact", action=argparse.BooleanOptionalAction, default=False,
+        help="parts may touch that do not touch at the start",
     )  # fmt: skip
     p.add_argument("--min-height", type=float, metavar="M", help="no moving part may go below this height, m")
     p.add_argument("--margin", type=float, default=0.05, help="share of the model's own ranges kept free at each end")
@@ -83,12 +84,17 @@ def command_line() -> argparse.ArgumentParser:
 
 def main(args: list[str]) -> int:
     """Run ``idapt excite``; what cannot be asked is exit code 2."""
-    o = command_line().parse_args(args)
+    o = command_line().parse_args([*map(no_option, args)])
     try:
         return run(o)
     except (ImpossibleMotion, ValueError) as error:
         print(f"idapt excite: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+
+
+def no_option(argument: str) -> str:
+    """A span that begins with a minus, as something that argparse does not take for an option."""
+    return f" {argument}" if re.match(r"-[\d.]", argument) else argument
 
 
 def run(o: argparse.Namespace) -> int:
@@ -152,7 +158,7 @@ def limits_from(o: argparse.Namespace, left_open: LeftOpen) -> MotionLimits:
     spans = {name: read_spans(name, getattr(o, name)) for name in ("position", "velocity", "command", "torque")}
     return limits_of(
         left_open.spec.copy().compile(), spans["position"], spans["velocity"], spans["command"], spans["torque"],
-        o.no_contact, o.min_height, o.margin,
+        not o.contact, o.min_height, o.margin,
     )  # fmt: skip
 
 
@@ -165,7 +171,7 @@ def read_spans(option: str, entries: list[str]) -> dict[str, Span]:
     found: dict[str, Span] = {}
     for entry in entries:
         name, _, value = entry.rpartition("=")
-        low, _, high = value.rpartition(":")
+        name, (low, _, high) = name.strip(), value.rpartition(":")
         try:
             top = float(high)
             span = (float(low) if low else -top, top)

@@ -59,7 +59,7 @@ class GroundingCLI(LightningCLI):
             save_config_callback=None,
             auto_configure_optimizers=False,
             seed_everything_default=False,
-            parser_kwargs={"prog": "idapt fit", "description": __doc__, "exit_on_error": False},
+            parser_kwargs={"prog": "idapt fit", "description": __doc__, "exit_on_error": False, "allow_abbrev": False},
         )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:

@@ -106,13 +106,18 @@ def draft(paths: list[str], model: Path, out: Path, format: str | None = None, a
     Raises:
         RecordingError: naming the file, what was expected and what came.
     """
-    made = draft_map(paths[0], read_layout(model, actuators), format)
+    layout = read_layout(model, actuators)
+    if not layout.actuators:
+        print(f"{model} has no actuators, so nothing is taken for a command: say what drives it with --actuators motor")
+    made = draft_map(paths[0], layout, format)
     write_draft(out, made)
     missing = made.missing()
     print(f"{out}: a draft, made of {paths[0]}; read every line of it")
     if missing:
         print(f"to fill in: {', '.join(missing)}")
-    options = f" --format {format}" if format else ""
+    options = (f" --format {format}" if format else "") + (
+        f" --actuators {shlex.quote(actuators)}" if actuators else ""
+    )
     print(
         "then: idapt import " + shlex.join([*paths, "--map", str(out), "--model", str(model)]) + f"{options} --dry-run"
     )

@@ -104,13 +104,14 @@ def leave_within(seconds: float, code: int) -> None:
 
 
 @contextmanager
-def resumable(folder: Path, command: str, unit: str) -> Iterator[None]:
+def resumable(folder: Path, command: str, unit: str, proof: str = "") -> Iterator[None]:
     """Work that goes on where it was, so that the line at its end says how.
 
     Args:
         folder: of the run, with its ``config.yaml``.
         command: that goes on, such as ``idapt fit``.
         unit: what is kept where it was finished, such as ``stages``.
+        proof: a file of the folder that is there once one was; empty where that need not be asked.
     """
     try:
         yield
@@ -118,5 +119,7 @@ def resumable(folder: Path, command: str, unit: str) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0)
         interrupted = end if isinstance(end, Interrupted) else Interrupted(signal.SIGTERM)
         config = shlex.quote(str(folder / "config.yaml"))
-        interrupted.kept = f"finished {unit} are kept in {folder}, go on with: {command} --config {config}"
+        nothing = proof and not (folder / proof).exists()
+        kept = f"of {unit} none was finished yet in" if nothing else f"finished {unit} are kept in"
+        interrupted.kept = f"{kept} {folder}, go on with: {command} --config {config}"
         raise interrupted from None

@@ -40,7 +40,7 @@ from idapt_pl.sweep.table import (
 from idapt_pl.sweep.work import SweepWorker
 
 EXAMPLES = """examples:
-  idapt sweep --config configs/sweeps/pendulum.yaml --dry-run      # what would run, and how long it may take
+  idapt sweep --config configs/sweeps/pendulum.yaml --dry-run      # what would run; and how long, once runs are done
   idapt sweep --config configs/sweeps/pendulum.yaml                # run it; the same command goes on
   idapt sweep status --folder runs/sweeps/pendulum                 # how far it is
   idapt sweep report --folder runs/sweeps/pendulum                 # tables and report.html

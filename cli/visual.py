@@ -89,7 +89,12 @@ class VisualCLI(LightningCLI):
                     "enable_model_summary": False,
                     "num_sanity_val_steps": 0,
                 },
-                parser_kwargs={"prog": "idapt visual", "description": DESCRIPTION, "exit_on_error": False},
+                parser_kwargs={
+                    "prog": "idapt visual",
+                    "description": DESCRIPTION,
+                    "exit_on_error": False,
+                    "allow_abbrev": False,
+                },
             )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -183,7 +188,7 @@ class VisualCLI(LightningCLI):
 
     def fit(self, **arguments: Any) -> None:
         """Train, and say what is kept where that is interrupted."""
-        with resumable(self.run_dir, "idapt visual fit", "epochs"), self.health.explaining(self.model):
+        with resumable(self.run_dir, "idapt visual fit", "epochs", "last.ckpt"), self.health.explaining(self.model):
             self.trainer.fit(**arguments)
         self.health.running_away(self.model, self.datamodule)
         if self.trainer.is_global_zero:

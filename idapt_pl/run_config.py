@@ -157,14 +157,8 @@ class RunConfig:
         parser.add_class_arguments(View, "view")
         parser.add_argument("--frame_stack", type=int, default=3, help="frames in an observation")
         parser.add_argument("--episodes", type=int, default=20, help="episodes for each reported return")
-        parser.add_argument(
-            "--shorten",
-            type=float,
-            default=1.0,
-            help="divide all lengths by this, such as 50, and take one grounding step: every stage in minutes, to see "
-            "whether everything works; what it learns is worth nothing. Its run folder ends with _short",
-        )
         parser.add_argument("--oracle", type=bool, default=False, help="also train the oracle reference in the target")
+        add_shorten(parser)
         for name, settings in SETTINGS.items():
             if name != "view":
                 parser.add_class_arguments(settings, name)
@@ -296,6 +290,17 @@ class RunConfig:
     def folder(self) -> Path:
         """The run folder."""
         return Path(self.run_dir or usual_folder(self.task, self.target, self.seed))
+
+
+def add_shorten(parser: ArgumentParser) -> None:
+    """Give a parser the option that makes a run short; numbers say it all once it is parsed."""
+    parser.add_argument(
+        "--shorten",
+        type=float,
+        default=1.0,
+        help="divide all lengths by this, such as 50, and take one grounding step: every stage in minutes, to see "
+        "whether everything works; what it learns is worth nothing. Its run folder ends with _short",
+    )
 
 
 def usual_folder(task: str, target: str | dict[str, Any], seed: int) -> str:

@@ -18,15 +18,20 @@ from conftest import TINY
 from torch import nn
 from torch.utils.data import DataLoader
 
+from cli.fit import GroundingCLI
 from cli.interrupt import Interrupted
 from cli.main import main
 from datamodules import read_trajectories
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
+from idapt_pl.modules import StatePredictor
+from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.units import Units, give_in_units
 from idapt_pl.run import Run
+from idapt_pl.run_folder.shipped_configs import with_shipped_configs
 from idapt_pl.stage import Stages, stage_seed
 from idapt_pl.stages.repair import SourceRepair
+from idapt_pl.stages.state_predictor import fit_P_S
 
 STEPS = TINY["schedule.grounding_steps"]
 
@@ -582,6 +587,46 @@ def test_a_learned_encoder_cannot_be_regressed_on_states_which_is_said_at_once(t
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (
+            {"schedule__paired_steps": 4, "visual__reset_weight": 0},
+            "paired_steps is 4, but G learns nothing from pairs",
+        ),
+        ({"schedule__finetune__dynamics": 0}, "F would be used untrained"),
+        ({"shorten": 0.5}, "shorten is 0.5: lengths are divided by it"),
+    ],
+)
+def test_settings_that_would_do_nothing_are_refused(tiny_args, tmp_path, capsys, settings, said):
+    assert main(["fit", *tiny_args(tmp_path / "run", **settings)]) == 1
+    assert said in capsys.readouterr().err and not (tmp_path / "run/step_00").exists()
+
+
+def test_a_shortened_run_goes_through_every_stage_in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = {"image_size": 32, "vision.crop": 28, "render_processes": 0, "effects.discover": "false", "episodes": 2}
+    options |= {"visual.width": 4, "visual.blocks": 1, "trainer.accelerator": "cpu", "schedule.until_settled": "false"}
+    arguments = ["--config", "configs/pendulum_quick.yaml", *(f"--{k}={v}" for k, v in options.items())]
+    config = GroundingCLI([*with_shipped_configs(arguments), "--shorten=1000"]).config
+    assert (
+        config.schedule.pretrain.visual == 20 and config.schedule.images == 300 and config.schedule.grounding_steps == 1
+    )
+    assert config.shorten == 1 and config.run_dir == "runs/inverted_pendulum_hard_0_short"
+    assert config.schedule.finetune.visual == 0, "what a config has not is not begun"
+
+
+def test_encoders_of_policies_learn_in_other_lights_and_P_S_does_not():
+    sizes = {"state_dim": 2, "image_size": 32, "frame_stack": 3, "vision": Vision(crop=28)}
+    stages = SimpleNamespace(fit=lambda step, name, build, *rest: build())
+    context = SimpleNamespace(
+        make=SimpleNamespace(state_predictor=StatePredictor), stages=stages,
+        worlds=SimpleNamespace(dimensions=sizes, frame_stack=3), batches=SimpleNamespace(state_predictor_batch=2),
+    )  # fmt: skip
+    assert fit_P_S(context, 0, [], 1).hparams.relight == 0
+    assert fit_P_S(context, 0, [], 1, StatePredictor(**sizes, relight=0.7)).hparams.relight == 0.7
+
+
 def test_same_seed_same_run_and_another_seed_another(finished_run, tiny_args, tmp_path):
     last = f"step_{STEPS:02d}/policy/final.ckpt"
     assert main(["fit", *tiny_args(tmp_path / "same")]) == 0

@@ -84,7 +84,12 @@ def _check_names(mapping: Mapping, kind: str, mapped: dict, known: list[str], mo
         if name not in known:
             raise RecordingError(
                 f"{mapping.source}: {kind}s.{name}: {model} has no such {kind}; "
-                + choices(name, known, f"its {kind}s are")
+                + (choices(name, known, f"its {kind}s are") if known else f"it has no {kind}s")
+                + (
+                    "; say what drives it, --actuators motor or position:kp=..,kv=.."
+                    if kind == "actuator" and not known
+                    else ""
+                )
             )
     if missing := [name for name in known if name not in mapped]:
         raise RecordingError(

@@ -97,12 +97,11 @@ def limits_of(
     speeds = narrowed(np.tile([-np.inf, np.inf], (model.nv, 1)), joints, symmetric(velocity), "velocity")
     commands = narrowed(command_ranges(model, margin), actuators, command, "command")
     forces = narrowed(force_ranges(model), actuators, symmetric(force), "torque")
-    for name, i in actuators.items():
-        if not np.isfinite(commands[i]).all():
-            raise ImpossibleMotion(
-                f"actuator {name} has no ctrlrange in the model: give its lowest and highest command, "
-                f"--command {name}=LOW:HIGH"
-            )
+    if endless := [name for name, i in actuators.items() if not np.isfinite(commands[i]).all()]:
+        raise ImpossibleMotion(
+            f"no ctrlrange in the model: {', '.join(endless)}. Give lowest and highest commands, --command "
+            f"{' '.join(f'{name}=LOW:HIGH' for name in endless)}, or one LOW:HIGH for all"
+        )
     return MotionLimits(positions, speeds[:, 1], commands, forces, no_contact, lowest)
 
 

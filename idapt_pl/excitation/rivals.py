@@ -20,6 +20,7 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.wording import phrase_at
 from idapt_pl.excitation.limits import ImpossibleMotion
 from idapt_pl.files import DamagedFile, read_json
+from idapt_pl.robot_files.read import is_urdf
 
 REPEAT = "run idapt diagnose again, with this version"
 """What to do about a report that lacks something."""
@@ -77,7 +78,8 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
     """Read the report of a diagnosis and the model that it is about.
 
     Args:
-        model: the nominal model, or the repaired one (``patched.xml``).
+        model: the nominal model, or the repaired one (``patched.xml``). Of a URDF the report's own copy is taken, which
+            has the actuators that it was diagnosed with.
         report: folder of the diagnosis.
 
     Raises:
@@ -85,8 +87,10 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
     """
     if not report.is_dir():
         raise ImpossibleMotion(f"{report}: no such folder; expected the output of idapt diagnose --out")
-    spec, entry = read_model(model), read_report(report / "report.json")
-    spec = nominal_of(spec, model, report)
+    entry, kept = read_report(report / "report.json"), report / "unrepaired.xml"
+    if is_urdf(model) and kept.is_file():
+        model = kept
+    spec = nominal_of(read_model(model), model, report)
     try:
         declared = tuple(effect_from_dict(e) for e in entry["declared"])
         rivals = tuple(rival_of(declared, Explanation.from_dict(e)) for e in entry["explanations"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-LEAST = {
+SHORTEST = {
     "schedule.images": 300, "schedule.source_images": 300, "schedule.interactions": 150, "schedule.source_policy": 40,
     **{
         f"schedule.{part}.{name}": least
@@ -18,9 +18,6 @@ LEAST = {
     "labels.members": 8, "feeding.warmup_steps": 40, "feeding.garat_rollout": 200, "episodes": 2,
 }  # fmt: skip
 """How long whatever a config has stays at least; what it has not is not begun."""
-
-STEPS = 1
-"""Grounding steps that are left."""
 
 
 def shorten(config: Any) -> None:
@@ -37,8 +34,8 @@ def shorten(config: Any) -> None:
         raise ValueError(f"shorten is {by}: lengths are divided by it, so give 1 (as they are) or more, such as 50")
     if by == 1:
         return
-    for key, least in LEAST.items():
+    for key, least in SHORTEST.items():
         if number := config[key]:
             config[key] = max(min(number, least), round(number / by))
-    config["schedule.grounding_steps"] = min(STEPS, config["schedule.grounding_steps"])
+    config["schedule.grounding_steps"] = min(1, config["schedule.grounding_steps"])
     config["shorten"] = 1.0

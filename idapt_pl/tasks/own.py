@@ -7,6 +7,8 @@ import os
 import sys
 from typing import Any
 
+import gymnasium
+
 from datamodules.users_error import UsersError
 from idapt_pl.tasks.own_check import check_task
 from idapt_pl.tasks.task import Task
@@ -28,6 +30,7 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         ValueError: if it cannot be made.
     """
     source, _, rest = name.partition(":")
+    look_here_too()
     if source == "gymnasium":
         from idapt_pl.tasks.gymnasium_task import GymnasiumTask
 
@@ -40,6 +43,11 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
     own = {k: v for k, v in options.items() if k != "action_repeat"}  # which every task has
     task = call_users(made, f"task {name}", own) if callable(made) else made
     if not isinstance(task, Task):
+        if isinstance(task, gymnasium.Env):
+            raise ValueError(
+                f"task {name} is an environment of Gymnasium. Register it there (gymnasium.register), and give "
+                f"gymnasium:{name.partition(':')[0]}:ID"
+            )
         raise ValueError(
             f"task {name} is {type(task).__name__}, not an idapt_pl.tasks.Task. Give a subclass of it, or a function "
             "that returns one (docs/guide/own_robot.md)"
@@ -50,6 +58,12 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         task.action_repeat = repeat
     check_task(name, task)
     return task
+
+
+def look_here_too() -> None:
+    """Let modules be found in the current folder, as `python -m` does."""
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
 
 
 def import_from(path: str, what: str) -> Any:
@@ -66,8 +80,7 @@ def import_from(path: str, what: str) -> Any:
     module_name, _, attribute = path.partition(":")
     if not module_name or not attribute:
         raise ValueError(f"{what} {path!r} is no import path; give MODULE:NAME, such as my_robot.task:Reach")
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` has it
+    look_here_too()
     try:
         found = importlib.import_module(module_name)
     except ModuleNotFoundError as error:

@@ -117,6 +117,18 @@ def in_ulog(folder):
     return write_ulog(folder / "run.ulg", rows=ROWS)
 
 
+def test_what_is_to_be_given_next_names_the_actuators_too(tmp_path, capsys):
+    model, path = tmp_path / "arm.xml", tmp_path / "log.csv"
+    model.write_text("<mujoco><worldbody><body><joint name='elbow'/><geom size='.1'/></body></worldbody></mujoco>")
+    path.write_text("time,elbow_position,elbow_effort\n" + "\n".join(f"{0.01 * i},{0.1 * i},1" for i in range(9)))
+    drafted = ["import", path, "--model", model, "--draft-map", tmp_path / "map.yaml"]
+    code, printed = run(drafted, capsys)
+    assert code == 0 and "has no actuators, so nothing is taken for a command: say what drives it" in printed.out
+    (tmp_path / "map.yaml").unlink()
+    code, printed = run([*drafted, "--actuators", "motor"], capsys)
+    assert code == 0 and "--actuators motor --dry-run" in printed.out and "has no actuators" not in printed.out
+
+
 @pytest.mark.parametrize("write", [in_csv, in_npz, in_hdf5, in_lerobot, in_jsonl, in_mcap, in_db3, in_ulog])
 def test_a_draft_is_a_map_that_import_reads_as_it_is(write, model, tmp_path, capsys):
     path, draft, out = write(tmp_path), tmp_path / "map.yaml", tmp_path / "measured.h5"

@@ -245,6 +245,50 @@ def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monk
         env.close()
 
 
+@pytest.mark.parametrize("stop", [EOFError(), KeyboardInterrupt()])
+def test_what_was_taken_before_the_reset_at_a_horizon_fails_is_kept(monkeypatch, stop):
+    answers = [""]
+
+    def answer(text):
+        if not answers:
+            raise stop
+        return answers.pop()
+
+    monkeypatch.setattr("builtins.input", answer)
+    kept, env = [], robot(Slider(), attended=True)
+    with pytest.raises(KeyboardInterrupt if isinstance(stop, KeyboardInterrupt) else TargetFailed):
+        collect(env, lambda pixels: push(0.1), 6, 0, "slider", keep=kept.append, horizon=3)
+    assert [len(episode) for episode in kept] == [3]
+
+
+def test_a_robot_is_closed_whatever_a_person_stopped(monkeypatch):
+    class Motors(Slider):
+        off = False
+
+        def close(self):
+            self.off = True
+
+    def leave(text):
+        raise KeyboardInterrupt
+
+    motors = Motors()
+    env = robot(motors, attended=True, horizon=1)
+    monkeypatch.setattr("builtins.input", lambda text: "")
+    env.reset(seed=0)
+    monkeypatch.setattr("builtins.input", leave)
+    env.step(push(0.0))
+    with pytest.raises(KeyboardInterrupt):
+        env.close()
+    assert motors.off
+
+
+def test_an_answer_that_nobody_waited_for_is_not_that_of_the_next_call(monkeypatch):
+    ask = Patient()
+    with pytest.raises(TimeoutError):
+        ask(lambda: time.sleep(0.2) or "late", seconds=0.01)
+    assert ask(lambda: "next", seconds=5) == "next"
+
+
 def test_an_attended_robot_with_nobody_there_is_one_sentence(monkeypatch):
     def nobody(text):
         raise EOFError

@@ -84,6 +84,21 @@ def test_a_report_with_one_explanation_is_good_for_estimates_alone(tmp_path, cap
     assert json.loads((tmp_path / "next.json").read_text())["pairs"] == []
 
 
+def test_a_span_may_begin_with_a_minus_and_contact_may_be_allowed(tmp_path):
+    report_folder(tmp_path, DAMPING, FRICTION)
+    assert excite(tmp_path, "--position", "-0.5:0.5", "--contact", "--velocity", "3") == 0
+    limits = json.loads((tmp_path / "next.json").read_text())["limits"]
+    assert limits["position"] == {"shoulder": [-0.5, 0.5]} and limits["no_contact"] is False
+
+
+def test_of_a_urdf_the_reports_copy_is_taken_which_has_actuators(tmp_path):
+    report_folder(tmp_path, DAMPING, FRICTION)
+    given = tmp_path / "nominal.xml"
+    (tmp_path / "diagnosis/unrepaired.xml").write_text(given.read_text())
+    given.write_text("<robot name='arm'><link name='base'/></robot>")
+    assert excite(tmp_path, "--velocity", "3") == 0
+
+
 def test_limits_are_read_as_they_are_written():
     assert read_spans("position", ["1.5", "elbow=0:2", "wrist=-1:-0.5"]) == {
         "*": (-1.5, 1.5), "elbow": (0.0, 2.0), "wrist": (-1.0, -0.5)

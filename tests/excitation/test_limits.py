@@ -38,7 +38,10 @@ def test_limits_that_cannot_be_are_named(options, said):
 
 
 def test_a_motor_without_a_range_needs_one():
-    with pytest.raises(ImpossibleMotion, match="actuator push has no ctrlrange"):
+    with pytest.raises(
+        ImpossibleMotion,
+        match=r"no ctrlrange in the model: push\. Give lowest and highest commands, --command push=LOW:HIGH",
+    ):
         limits_of(compiled(RAIL.replace('ctrlrange="-1 1" ctrllimited="true"', "")))
     with pytest.raises(ImpossibleMotion, match="no actuators"):
         limits_of(compiled(RAIL[: RAIL.index("<actuator>")] + "</mujoco>"))

@@ -460,6 +460,30 @@ def test_garat_learns_that_actions_do_half_as_much_in_the_target(trainer):
     assert after < 0.5 * before
 
 
+def of_states(spread, middle=0.0):
+    f = middle + spread * torch.randn(500, 1)
+    return {"features": f, "next_features": f + 0.1 * spread * torch.randn(500, 1), "actions": torch.rand(500, 1)}
+
+
+def test_an_F_that_goes_on_is_the_function_that_it_was_on_data_of_another_spread():
+    F, new = action_transformation(), action_transformation()
+    assert F.is_new
+    F.standardise(of_states(1.0))
+    for layer in (F.actor[-1], F.affine):
+        nn.init.normal_(layer.weight)
+    seen = of_states(0.5)
+    x, told = F.agent_input(seen["features"], seen["actions"]), F.transition_input(seen)
+    before = F.residual(x).mean, F.value(x), F.D(told)
+    F.standardise(of_states(0.1, middle=3.0))
+    x, told = F.agent_input(seen["features"], seen["actions"]), F.transition_input(seen)
+    for was, now in zip(before, (F.residual(x).mean, F.value(x), F.D(told)), strict=True):
+        torch.testing.assert_close(now, was, rtol=1e-3, atol=1e-4)
+    assert F.feature_mean.item() == pytest.approx(3.0, abs=0.05), "and has the new scale"
+    weights = new.actor[0].weight.clone()
+    new.standardise(of_states(0.1))
+    assert torch.equal(new.actor[0].weight, weights), "a new one has nothing to keep"
+
+
 class Scaled(nn.Module):
     """Features with a weight of their own."""
 

@@ -115,6 +115,16 @@ def test_where_readings_jump_the_state_is_lost_and_found_again(task, recording):
     assert relative(found.states - shown, states) < relative(readings - shown, states)
 
 
+def test_a_reading_that_guesses_are_drawn_about_counts_once(task, recording):
+    states, error, _ = recording
+    expected = expected_of(task, states, error)
+    known = EnsembleFilter(SimulatedEnsemble(task, task.domain("source"), 2000), expected, 6, seed=0)
+    known.begin(states[10])
+    known.take_in(states[10])
+    spread = known.past[-1].std(0)
+    np.testing.assert_allclose(spread, expected.error, rtol=0.1)
+
+
 def biased(task, recording):
     """What a sensor reads that is off by half a spread, everywhere alike."""
     states, error, read = recording
