@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-SHORTEST = {
+AT_LEAST = {
     "schedule.images": 300, "schedule.source_images": 300, "schedule.interactions": 150, "schedule.source_policy": 40,
     **{
         f"schedule.{part}.{name}": least
@@ -34,7 +34,7 @@ def shorten(config: Any) -> None:
         raise ValueError(f"shorten is {by}: lengths are divided by it, so give 1 (as they are) or more, such as 50")
     if by == 1:
         return
-    for key, least in SHORTEST.items():
+    for key, least in AT_LEAST.items():
         if number := config[key]:
             config[key] = max(min(number, least), round(number / by))
     config["schedule.grounding_steps"] = min(1, config["schedule.grounding_steps"])
