@@ -42,7 +42,7 @@ def transfer(folder: Path) -> bytes:
     source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:
-        played = record_video(env, deterministic(policy), 40, seed=1)
+        played, _ = record_video(env, deterministic(policy), 40, seed=1)
     return gif(side_by_side(source[:, -1], G.translate(frames)[:, -1], target[:, -1], played))
 
 

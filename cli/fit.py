@@ -70,9 +70,10 @@ class GroundingCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         self.config.trainer.devices = one_device(self.config.trainer)
         fill_lengths(self.config.schedule, self.config.task, self.config.target)
-        if self.config.shorten > 1 and self.config.run_dir is None:
-            self.config.run_dir = usual_folder(self.config.task, self.config.target, self.config.seed) + "_short"
+        short = self.config.shorten != 1
         shorten(self.config)
+        if short and self.config.run_dir is None:
+            self.config.run_dir = usual_folder(self.config.task, self.config.target, self.config.seed) + "_short"
         fill_known(self.config.effects)
         fill_ranges(self.config.randomisation, self.config.task)
         self.config_init = self.parser.instantiate_classes(self.config)

@@ -201,9 +201,10 @@ class Evaluation:
             envs.append(self.worlds.rewarded_target(1, asking=False))
         for env in envs:
             with closing(env):
-                videos.append(record_video(env, deterministic(policy), VIDEO_STEPS, seed=step))
+                frames, taken = record_video(env, deterministic(policy), VIDEO_STEPS, seed=step)
+                videos.append(frames)
         log_video(folder, VIDEO, side_by_side(*videos), step)
-        return VIDEO_STEPS * (len(videos) - 1)
+        return taken * (len(videos) - 1)
 
     def summary(self, evaluations: Sequence[dict]) -> dict:
         """Write and return ``summary.json``.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -11,19 +12,30 @@ from gymnasium.vector import VectorEnv
 from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 
+from idapt_pl.envs import TargetFailed
 from idapt_pl.files import write_atomically
 from idapt_pl.rl.policy import Policy, tick
 
+log = logging.getLogger(__name__)
 
-def record_video(env: VectorEnv, act: Policy, steps: int, seed: int) -> np.ndarray:
-    """What the first simulation's policy sees for ``steps`` control steps: uint8 (steps, H, W, 3)."""
+
+def record_video(env: VectorEnv, act: Policy, steps: int, seed: int) -> tuple[np.ndarray, int]:
+    """What the first simulation's policy sees for ``steps`` control steps, or until a target fails.
+
+    Returns:
+        Frames uint8 (T, H, W, 3), and how many steps were taken.
+    """
     obs, _ = env.reset(seed=seed)
-    frames = []
-    for _ in range(steps):
-        frames.append(obs["pixels"][0, -1])
-        obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
-        tick(act, terminations | truncations)
-    return np.stack(frames)
+    frames, taken = [obs["pixels"][0, -1]], 0
+    try:
+        while taken < steps:
+            obs, _, terminations, truncations, _ = env.step(act(obs["pixels"]))
+            tick(act, terminations | truncations)
+            frames.append(obs["pixels"][0, -1])
+            taken += 1
+    except TargetFailed as failure:  # what was measured before counts
+        log.warning("the video ends after %d steps: %s", taken, failure)
+    return np.stack(frames[:steps]), taken
 
 
 def side_by_side(*videos: np.ndarray, scale: int = 2, gap: int = 4) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from idapt_pl.ranges import Range, check_ranges
+
 AT_LEAST = {
     "schedule.images": 300, "schedule.source_images": 300, "schedule.interactions": 150, "schedule.source_policy": 40,
     **{
@@ -27,11 +29,10 @@ def shorten(config: Any) -> None:
         config: what a parser made of a run's options, its null lengths filled.
 
     Raises:
-        ValueError: if it is less than 1.
+        ValueError: if it is less than 1, or too large to mean anything.
     """
+    check_ranges("", config.as_dict(), {"shorten": Range(1, 1e4)})
     by = config["shorten"]
-    if by < 1:
-        raise ValueError(f"shorten is {by}: lengths are divided by it, so give 1 (as they are) or more, such as 50")
     if by == 1:
         return
     for key, least in AT_LEAST.items():

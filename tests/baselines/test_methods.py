@@ -112,7 +112,7 @@ def test_the_oracle_alone_trains_in_the_target_and_says_so(tmp_path):
 
 @pytest.mark.parametrize(
     ("preset", "missing"),
-    [("visual_only", "dynamics"), slow("no_state_reconstruction", None), slow("accumulate", None),
+    [slow("visual_only", "dynamics"), slow("no_state_reconstruction", None), slow("accumulate", None),
      slow("newest_data", None), slow("data_random", None), slow("paper_small", None)],
 )  # fmt: skip
 def test_an_ablation_runs_algorithm_1(preset, missing, tmp_path):

@@ -102,6 +102,7 @@ def test_what_nothing_explains_is_far_less_than_what_is_missing(arm):
     assert (size < 0.3 * missing).all() and (size > 0).all()
 
 
+@pytest.mark.slow
 def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm):
     kinds = ["joint_damping", "joint_frictionloss", "joint_armature", "joint_drag", "body_mass"]
     out = diagnose(spec_of(), arm, threads=1, settings=QUICK, candidates=kinds)

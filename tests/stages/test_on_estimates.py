@@ -279,6 +279,7 @@ def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
     assert tried["factor"] == best[0] and len(tried["forecast_errors"]) > 3
 
 
+@pytest.mark.slow
 def test_a_second_opinion_is_formed_on_a_runs_own_recordings(run):
     """From images of the target and their actions; what is written is what the source is given."""
     from idapt_pl.image_diagnosis.sensor import ImageSensor

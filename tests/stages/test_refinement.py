@@ -83,6 +83,7 @@ def nothing():
     return forecasts(seed=5)
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_found_from_known_starts_and_nothing_where_nothing_is(errors, nothing):
     found = search_from_known_starts(CANDIDATES, errors, nothing).to_dict()
     (effect,) = found["effects"]

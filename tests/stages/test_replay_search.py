@@ -45,6 +45,7 @@ def read_of(task, effects, seed, known=None):
     return Replays(task, domain, read, HAND, moved.std((0, 1)))
 
 
+@pytest.mark.slow
 def test_turned_and_biased_commands_are_named_with_their_values(fetch):
     hidden = [ActuatorRotation("x y", 0.6), ActuatorBias("z", -0.4)]
     found = search_by_replays(CANDIDATES, read_of(fetch, hidden, 0), read_of(fetch, [], 1), most=3)

@@ -14,6 +14,7 @@ from cli.main import main
 from datamodules import read_trajectories
 from idapt_pl.envs import TargetFailed
 from idapt_pl.envs.robot_env import RobotEnv, RobotSettings
+from idapt_pl.evaluation.video import record_video
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.targets import Look, OtherTaskTarget, RobotTarget, make_target, target_name
 from idapt_pl.tasks import make_task
@@ -209,6 +210,28 @@ def test_what_was_judged_of_a_correspondence_is_kept_too_when_the_robot_fails(tm
     played = 1000 - int((tmp_path / "unplugged").read_text())
     assert result["returns"] == [2.5] * 3 and counted() == before | {"evaluation": 10 + played}
     assert not list(run.rglob("*_so_far.json")) and main(["ledger", "--run", str(run)]) == 0
+
+
+def test_a_video_ends_where_the_robot_fails_and_says_how_far_it_came():
+    class Failing:
+        def __init__(self, fails_at):
+            self.fails_at, self.steps = fails_at, 0
+
+        def reset(self, seed=None):
+            return {"pixels": np.zeros((1, 2, 8, 8, 3), np.uint8)}, {}
+
+        def step(self, actions):
+            self.steps += 1
+            if self.steps == self.fails_at:
+                raise TargetFailed("the cable is loose")
+            never = np.zeros(1, bool)
+            return {"pixels": np.full((1, 2, 8, 8, 3), self.steps, np.uint8)}, np.zeros(1), never, never, {}
+
+    act = lambda pixels: np.zeros((1, 1), np.float32)  # noqa: E731
+    frames, taken = record_video(Failing(4), act, 10, 0)
+    assert taken == 3 and frames[:, 0, 0, 0].tolist() == [0, 1, 2, 3]
+    frames, taken = record_video(Failing(0), act, 10, 0)
+    assert taken == 10 and frames[:, 0, 0, 0].tolist() == list(range(10))
 
 
 @pytest.mark.slow
