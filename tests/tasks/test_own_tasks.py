@@ -1,6 +1,7 @@
 """Tasks made of environments of others, and of the user's own modules."""
 
 import gc
+import sys
 import weakref
 from contextlib import closing
 
@@ -17,17 +18,8 @@ from idapt_pl.envs import VectorImageEnv
 from idapt_pl.tasks import Task, make_task, robot_spec
 from idapt_pl.tasks.environment_task import EnvironmentTask
 
-URDF = """
-<robot name="arm">
-  <link name="base"/>
-  <link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="1"/>
-      <inertia ixx="0.1" iyy="0.1" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
-    <visual><origin xyz="0 0 -0.5"/><geometry><box size="0.1 0.1 1"/></geometry></visual></link>
-  <joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="5" velocity="10"/></joint>
-</robot>"""
-
 PAGE = (ROOT / "docs/guide/own_robot.md").read_text()
+URDF = next(part.split("```")[0] for part in PAGE.split("```xml\n") if part.startswith("<robot"))
 GUIDE = next(part.split("```")[0] for part in PAGE.split("```python\n") if part.startswith("# my_robot.py"))
 """The user's own robot, as the guide has it: a URDF, a motor, a camera and a reward."""
 
@@ -375,3 +367,16 @@ def test_a_model_that_cannot_be_read_is_named(tmp_path, content):
         path.write_text(content)
     with pytest.raises(ValueError, match=r"arm\.xml: cannot be read as a model"):
         robot_spec(path)
+
+
+def test_an_environment_that_a_module_here_registers_is_found_and_a_class_of_one_says_how(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p not in ("", str(tmp_path))])
+    (tmp_path / "my_swings.py").write_text(
+        "import gymnasium\n"
+        "from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv as Swing\n"
+        "gymnasium.register('MySwing-v0', entry_point=Swing, max_episode_steps=50)\n"
+    )
+    assert make_task("gymnasium:my_swings:MySwing-v0", {}).horizon == 50
+    with pytest.raises(ValueError, match=r"is an environment of Gymnasium. Register it there .* gymnasium:my_swings:ID"):
+        make_task("my_swings:Swing", {})
