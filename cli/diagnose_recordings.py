@@ -82,6 +82,8 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
         except UnusableData as error:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
     fixed = o.fix and any(f.faults for f in faults.values())
+    if not o.fix and any(f.faults for f in faults.values()):
+        diagnosis = replace(diagnosis, result=replace(diagnosis.result, next_experiment=FAULTS_FIRST))
     notes = RecordingNotes(faults, fixed, stretches, comparison, robot.notes, held)
     write_diagnosis(diagnosis, o.out, o.model.name, " + ".join(names), notes)
     for path, recordings in mended_files(o.out, sets, each) if fixed else ():
@@ -97,6 +99,11 @@ def finish(found: Diagnosis, o: argparse.Namespace) -> Diagnosis:
     found = found if o.no_laws or o.quick else with_laws(found)
     return found if o.fdr is None else claim(found, o.fdr)
 
+
+FAULTS_FIRST = (
+    "nothing yet: give the same command with --fix first, as effects that were found beside faults may be theirs"
+)
+"""What to record next where deployment faults were found, and left as they are."""
 
 PARTS = 4
 """That a single episode is cut into: three to fit, one to judge on."""

@@ -71,6 +71,7 @@ def test_without_fix_the_faults_are_told_and_nothing_is_changed(folder, tmp_path
     assert not report["deployment_faults"]["fixed"] and len(report["deployment_faults"]["faults"]) == 1
     assert not (tmp_path / "mended.h5").exists()
     assert "--fix" in capsys.readouterr().out
+    assert report["next_experiment"].startswith("nothing yet: give the same command with --fix first")
 
 
 def test_fix_needs_recordings_of_positions(folder, tmp_path, capsys):

@@ -378,5 +378,6 @@ def test_an_environment_that_a_module_here_registers_is_found_and_a_class_of_one
         "gymnasium.register('MySwing-v0', entry_point=Swing, max_episode_steps=50)\n"
     )
     assert make_task("gymnasium:my_swings:MySwing-v0", {}).horizon == 50
-    with pytest.raises(ValueError, match=r"is an environment of Gymnasium. Register it there .* gymnasium:my_swings:ID"):
+    said = r"is an environment of Gymnasium\. Register it there .* gymnasium:my_swings:ID"
+    with pytest.raises(ValueError, match=said):
         make_task("my_swings:Swing", {})
