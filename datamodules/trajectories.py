@@ -205,7 +205,10 @@ def open_trajectory_file(path: Path | str) -> h5py.File:
     try:
         f = h5py.File(path, "r")
     except Exception as error:  # h5py reports damage as any of its errors
-        raise TrajectoryFileError(f"{path}: not a readable HDF5 file (truncated or of another kind): {error}") from None
+        cure = "" if path.suffix in (".h5", ".hdf5") else ". `idapt import` makes a trajectory file of other recordings"
+        raise TrajectoryFileError(
+            f"{path}: not a readable HDF5 file (truncated or of another kind): {error}{cure}"
+        ) from None
     for name, number in {"total_episodes": int, "total_steps": int, "dt": float}.items():
         try:
             number(f.attrs[name])

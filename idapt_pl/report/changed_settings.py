@@ -14,6 +14,7 @@ from idapt_pl.diagnosis.repaired import RepairedModel, model_as_mjcf
 from idapt_pl.diagnosis.result import EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.effects.wording import format_estimate, format_number
 
 NOT_SET = "not set"
 LEFT_ALONE = ("compiler", "mesh", "texture", "material", "size", "statistic", "visual")
@@ -75,7 +76,8 @@ def span(value: str, others: Sequence[str]) -> str:
     low, high = every.min(0), every.max(0)
     if np.array_equal(low, high):
         return ""
-    text = [f"{a:.4g} to {b:.4g}" if a != b else f"{a:.4g}" for a, b in zip(low, high, strict=True)]
+    ends = zip(every[0], low, high, strict=True)
+    text = [format_estimate(v, (a, b))[1] if a != b else format_number(a, 4) for v, a, b in ends]
     return ", ".join(text)
 
 

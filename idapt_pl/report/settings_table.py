@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from idapt_pl.effects.wording import format_number, phrase_at
+from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
 from idapt_pl.report.actuator_settings import TERMS, DriveSettings
 from idapt_pl.report.changed_settings import ChangedSetting
 from idapt_pl.report.html import details, paragraph, preformatted, row, section, table
@@ -34,10 +34,12 @@ def drive_cells(d: DriveSettings) -> tuple[str, ...]:
     cells = []
     for term in TERMS:
         value = d.values.get(term)
-        text = "-" if value is None else format_number(value, 4)
-        if term in d.intervals:
-            text += " ({} to {})".format(*(format_number(x, 4) for x in d.intervals[term]))
-        cells.append(text)
+        if value is None:
+            cells.append("-")
+        elif term in d.intervals:
+            cells.append("{} ({})".format(*format_estimate(value, d.intervals[term])))
+        else:
+            cells.append(format_number(value, 4))
     return d.joint, "positions" if d.servo else "efforts", *cells
 
 

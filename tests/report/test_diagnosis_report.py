@@ -29,6 +29,7 @@ from idapt_pl.diagnosis.result import (
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
+from idapt_pl.report.changed_settings import span
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, headline, rest_explained_by, verdict_in_words
 
@@ -498,3 +499,8 @@ def test_help_teaches(capsys):
 def test_episodes_are_listed_where_they_are_few():
     assert episode_list([3]) == "episode 3" and episode_list([0, 2]) == "episodes 0, 2"
     assert episode_list(range(145)) == "145 episodes"
+
+
+def test_intervals_of_settings_have_the_digits_that_tell_them_apart():
+    assert span("1.20001", ["1.1996", "1.2004"]) == "1.1996 to 1.2004"
+    assert span("0.3 1", ["0.31 1", "0.29 1"]) == "0.290 to 0.310, 1" and span("0.3", ["0.3"]) == "" == span("x", ["y"])
