@@ -603,7 +603,7 @@ def test_settings_that_would_do_nothing_are_refused(tiny_args, tmp_path, capsys,
     assert said in capsys.readouterr().err and not (tmp_path / "run/step_00").exists()
 
 
-def test_a_shortened_run_goes_through_every_stage_in_a_folder_of_its_own(tmp_path, monkeypatch):
+def test_a_shortened_config_keeps_every_stage_that_it_has_and_gets_a_folder_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     options = {"image_size": 32, "vision.crop": 28, "render_processes": 0, "effects.discover": "false", "episodes": 2}
     options |= {"visual.width": 4, "visual.blocks": 1, "trainer.accelerator": "cpu", "schedule.until_settled": "false"}

@@ -27,6 +27,7 @@ from idapt_pl.rl.noisy_teacher import noisy_return
 from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages
 from idapt_pl.stages.aside import Aside, in_turn
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
@@ -228,10 +229,7 @@ class Distillation:
         if known is not None and (dynamics == self._dynamics or not self.settings.adapt):
             return known
         policy = build().hparams  # its critics are to be the student's
-        recipe = replace(self.worlds.task.expert, gamma=policy.gamma)
-        recipe = replace(recipe, steps=self.settings.steps if fresh else self.settings.adapt)
-        if F is not None:  # those that make_env makes
-            recipe = replace(recipe, num_envs=self.num_envs)
+        recipe = self.recipe(F, policy.gamma, self.settings.steps if fresh else self.settings.adapt)
 
         def build_expert() -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
@@ -258,6 +256,11 @@ class Distillation:
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
+    def recipe(self, F: ActionTransformation | None, gamma: float, steps: int) -> ExpertRecipe:
+        """The task's, with the student's discount; behind an F it counts the student's simulations."""
+        recipe = replace(self.worlds.task.expert, gamma=gamma, steps=steps)
+        return recipe if F is None else replace(recipe, num_envs=self.num_envs)
+
     @property
     def to_be_hardened(self) -> bool:
         """Whether the teacher is one that has not yet learned to bear measured errors, and shall."""
@@ -268,9 +271,7 @@ class Distillation:
         make_env: Callable[[torch.device], VectorEnv], F: ActionTransformation | None,
     ) -> StateSAC:  # fmt: skip
         """The teacher of :meth:`up_to_date` after it has learned to bear measured errors (T, s)."""
-        recipe = replace(self.worlds.task.expert, gamma=build().hparams.gamma, steps=self.settings.harden)
-        if F is not None:
-            recipe = replace(recipe, num_envs=self.num_envs)
+        recipe = self.recipe(F, build().hparams.gamma, self.settings.harden)
         known = self.expert
         assert known is not None  # to_be_hardened
 

@@ -31,8 +31,8 @@ def shorten(config: Any) -> None:
     Raises:
         ValueError: if it is less than 1, or too large to mean anything.
     """
-    check_ranges("", config.as_dict(), {"shorten": Range(1, 1e4)})
     by = config["shorten"]
+    check_ranges("", {"shorten": by}, {"shorten": Range(1, 1e4)})
     if by == 1:
         return
     for key, least in AT_LEAST.items():

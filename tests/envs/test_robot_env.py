@@ -218,9 +218,8 @@ def test_a_person_is_waited_for(monkeypatch):
     assert len(asked) == 3
 
 
-@pytest.mark.parametrize("stop", [EOFError(), KeyboardInterrupt()])
-def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monkeypatch, stop):
-    """So it is recorded and counted; what stopped the robot comes with the next call."""
+def answering_once(monkeypatch, stop):
+    """A person who answers once and then stops; more answers may be added to what this returns."""
     answers = [""]
 
     def answer(text):
@@ -229,6 +228,13 @@ def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monk
         return answers.pop()
 
     monkeypatch.setattr("builtins.input", answer)
+    return answers
+
+
+@pytest.mark.parametrize("stop", [EOFError(), KeyboardInterrupt()])
+def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monkeypatch, stop):
+    """So it is recorded and counted; what stopped the robot comes with the next call."""
+    answers = answering_once(monkeypatch, stop)
     kept, expected = [], KeyboardInterrupt if isinstance(stop, KeyboardInterrupt) else TargetFailed
     env = robot(Slider(), attended=True, horizon=2)
     with pytest.raises(expected):
@@ -247,14 +253,7 @@ def test_a_step_that_ends_an_episode_is_told_of_before_the_reset_that_fails(monk
 
 @pytest.mark.parametrize("stop", [EOFError(), KeyboardInterrupt()])
 def test_what_was_taken_before_the_reset_at_a_horizon_fails_is_kept(monkeypatch, stop):
-    answers = [""]
-
-    def answer(text):
-        if not answers:
-            raise stop
-        return answers.pop()
-
-    monkeypatch.setattr("builtins.input", answer)
+    answering_once(monkeypatch, stop)
     kept, env = [], robot(Slider(), attended=True)
     with pytest.raises(KeyboardInterrupt if isinstance(stop, KeyboardInterrupt) else TargetFailed):
         collect(env, lambda pixels: push(0.1), 6, 0, "slider", keep=kept.append, horizon=3)

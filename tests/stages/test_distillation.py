@@ -5,6 +5,7 @@ import shutil
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from idapt_pl.report.run_record import ORDER
 from idapt_pl.rl.noisy_teacher import MisledTeacher, noisy_return
 from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages.collection import explorer
 from idapt_pl.stages.distillation import (
     LABELLED,
     DaggerExperience,
@@ -30,6 +32,7 @@ from idapt_pl.stages.distillation import (
     teacher_labels,
 )
 from idapt_pl.targets import SimulatedTarget
+from idapt_pl.tasks import make_task
 from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.worlds import Worlds
 
@@ -314,3 +317,27 @@ def test_a_misled_teacher_sees_other_states_in_every_episode(cart):
     assert not np.allclose(first, teacher.act(states, deterministic=True))
     with closing(VectorStateEnv(cart, cart.domain("source"), 4)) as env:
         assert noisy_return(teacher, env, 8, 1) == noisy_return(teacher, env, 8, 1)
+
+
+def test_a_teacher_counts_the_simulations_that_it_acts_in():
+    """Behind an F they are those of the student's environment, else the task's."""
+    task = SimpleNamespace(expert=ExpertRecipe(100, num_envs=4))
+    teaching = SimpleNamespace(worlds=SimpleNamespace(task=task), num_envs=16)
+    for F, number in ((None, 4), (object(), 16)):
+        recipe = Distillation.recipe(teaching, F, gamma=0.9, steps=50)
+        assert (recipe.num_envs, recipe.gamma, recipe.steps) == (number, 0.9, 50)
+
+
+def test_an_explorers_teacher_acts_in_the_source_with_its_known_effects_and_without_those_found_later(monkeypatch):
+    task, acted = make_task("inverted_pendulum"), []
+    known, found = ActuatorGain("slide", 0.5), ActuatorGain("slide", 0.25)
+    source = task.domain("source")
+    worlds = Worlds(task, source, SimulatedTarget(task, source), None, 32, 3, known_effects=(known,))
+    worlds.add_effects([known])
+    worlds.add_effects([found])
+    monkeypatch.setattr("idapt_pl.stages.collection.VectorStateEnv", lambda task, domain, n: acted.append(domain))
+    monkeypatch.setattr("idapt_pl.stages.collection.OpenLoopReplay", lambda teacher, env, seed: None)
+    context = SimpleNamespace(worlds=worlds, teacher=SimpleNamespace(of_the_source=lambda build: None), new_policy=None)
+    explorer(context, "rehearse", 0)
+    assert [domain.effects[len(source.effects) :] for domain in acted] == [(known,)]
+    assert worlds.added_effects == (known, found)
