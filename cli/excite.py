@@ -139,6 +139,11 @@ def plan_of(o: argparse.Namespace, left_open: LeftOpen) -> MotionPlan:
     if o.start is not None and len(o.start) != model.nq:
         raise ValueError(f"--start: expected {model.nq} positions, one for each of the model, got {len(o.start)}")
     rate = o.rate or 1 / left_open.measurement.control_period
+    if o.fastest is not None and not 1 / o.duration <= o.fastest <= rate / 4:
+        raise ValueError(
+            f"--fastest: expected {1 / o.duration:.3g} (once in --duration) to {rate / 4:.3g} Hz (a quarter of the "
+            f"control rate, {rate:g} Hz), got {o.fastest:g}"
+        )
     return MotionPlan(
         limits=limits_from(o, left_open),
         duration=o.duration,

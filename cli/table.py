@@ -7,6 +7,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from idapt_pl.report.run_wording import format_score
+
+NAMES = {"idapt": "IDAPT", "cc_state": "CC-State", "cc_image": "CC-Image"}
+"""Of the methods that have grounding steps, as the paper has them."""
+
 
 def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     """Print the references and every grounding step.
@@ -38,8 +43,12 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
 
 
 def measured_policies(summary: dict) -> list[tuple[str, str]]:
-    """Names and returns of what a run measured, in its order."""
-    oracle = ("oracle", "not run (--oracle true)" if summary["oracle"] is None else f"{summary['oracle']:.1f}")
+    """Names and returns, or shares of successes, of what a run measured, in its order."""
+
+    def told(value: float | None) -> str:
+        return "not measured" if value is None else format_score(value, summary["metric"])
+
+    oracle = ("oracle", "not run (--oracle true)" if summary["oracle"] is None else told(summary["oracle"]))
     if summary["method"] == "oracle":
         return [oracle]
     direct = ("direct transfer", told(summary["direct_transfer"]))
@@ -49,10 +58,5 @@ def measured_policies(summary: dict) -> list[tuple[str, str]]:
     rows = [direct, (f"visual grounding{', source repaired' if repaired else ' only'}", told(summary["visual_only"]))]
     for k, value in enumerate(summary["grounded"], 1):
         same = " (settled)" if k == summary["settled"] else ""
-        rows.append((f"IDAPT, grounding step {k}{same}", told(value)))
+        rows.append((f"{NAMES[summary['method']]}, grounding step {k}{same}", told(value)))
     return [*rows, oracle]
-
-
-def told(value: float | None) -> str:
-    """A return as the table has it."""
-    return "not measured" if value is None else f"{value:.1f}"

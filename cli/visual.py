@@ -188,6 +188,14 @@ class VisualCLI(LightningCLI):
 
     def fit(self, **arguments: Any) -> None:
         """Train, and say what is kept where that is interrupted."""
+        if self.trainer.is_global_zero:
+            log.info(
+                "G of %d source and %d target images, %s epochs on %s; watch it with: tensorboard --logdir %s",
+                *(len(self.datamodule.load(of)) for of in ("source", "target")),
+                self.trainer.max_epochs,
+                self.trainer.strategy.root_device,
+                self.run_dir,
+            )
         with resumable(self.run_dir, "idapt visual fit", "epochs", "last.ckpt"), self.health.explaining(self.model):
             self.trainer.fit(**arguments)
         self.health.running_away(self.model, self.datamodule)

@@ -21,6 +21,12 @@ SMALL = TINY | {"schedule.grounding_steps": 1, "randomisation.variants": 3}
 NO_TARGET = ("direct_transfer", "dr_narrow", "dr_paper_narrow", "dr_wide", "adaptive_rl")
 """Presets that take no step in the target before its evaluation."""
 
+TEACHER_ALONE = {
+    "teacher.steps": 40, "teacher.adapt": 20, "teacher.rehearse": 60, "teacher.harden": 0, "teacher.candidates": 1,
+    "schedule.source_policy": 0, "schedule.pretrain.policy": 0, "schedule.finetune.policy": 0,
+}  # fmt: skip
+"""A tiny teacher that acts on estimates, in place of SAC from images."""
+
 
 @pytest.fixture(autouse=True)
 def quick_experts(monkeypatch):
@@ -77,9 +83,13 @@ def test_what_knows_the_source_alone_takes_no_step_in_the_target(preset, tmp_pat
         assert len(drawn) == 3 and drawn[0] != drawn[1], "what was drawn is written down"
 
 
-@pytest.mark.parametrize("preset", [slow("cc_state"), "cc_image"])
-def test_a_correspondence_counts_its_steps_and_records_what_the_target_shows(preset, tmp_path):
-    assert fit(tmp_path, preset) == 0
+@pytest.mark.parametrize(
+    ("preset", "config"),
+    [slow("cc_state", QUICK), ("cc_image", QUICK), slow("cc_image", ROOT / "configs/cheetah_quick.yaml")],
+    ids=["cc_state", "cc_image", "cc_image, teacher on estimates"],
+)
+def test_a_correspondence_counts_its_steps_and_records_what_the_target_shows(preset, config, tmp_path):
+    assert fit(tmp_path, preset, config, **(TEACHER_ALONE if config != QUICK else {})) == 0
     summary, ledger = results(tmp_path)
     assert summary["method"] == preset and summary["target_interactions"] == 60 + 60
     assert summary["result"] == summary["grounded"][-1]

@@ -57,6 +57,7 @@ def test_the_page_has_all_parts_and_fetches_nothing(written):
     ("options", "said"),
     [
         (["--velocity", "fast"], "expected a number above 0 or LOW:HIGH"),
+        (["--fastest", "20"], "--fastest: expected 0.5 (once in --duration) to 12.5 Hz"),
         (["--velocity", "elbow=1"], "the model has no 'elbow'"),
         (["--position", "1:0.5"], "expected a number above 0 or LOW:HIGH"),
         (["--position", "5:6"], "nothing is left for shoulder"),
