@@ -47,7 +47,7 @@ def measure(size: int, frames: int, replaced: bool) -> dict:
         for _ in range(WARM_UP + frames):
             render([data]) if replaced else render(data)
             here.append(resident(os.getpid()))
-            there += [resident(p._process.pid) for p in parallel._others] if replaced else []
+            there += [resident(p._process.pid) for p in parallel._others["filament"]] if replaced else []
     row = {
         "image_size": size,
         "frames": frames,

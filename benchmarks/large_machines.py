@@ -304,7 +304,8 @@ def main() -> None:
     for key in tqdm([] if o.summary else list(itertools.product(o.models, o.effects, o.seeds)), unit="case"):
         if key in rows and not o.again:
             continue
-        rows[key] = run(*key, o.published, o.threads)
+        name, effect, seed = key
+        rows[key] = run(name, effect, seed, o.published, o.threads)
         write_rows(o.out, [rows[k] for k in sorted(rows)], FIELDS)
         r = rows[key]
         tqdm.write(f"{key} right {r['right']}, {r['seconds']} s: {r['truth']}\n    -> {r['verdict']}: {r['found']}")

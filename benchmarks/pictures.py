@@ -36,10 +36,11 @@ def domains(task_name: str, size: int = 200) -> np.ndarray:
 def transfer(folder: Path) -> bytes:
     """Source | translated | target in the same states, and the transferred policy in the target, as a GIF."""
     run = Run.open(folder)
-    worlds, last = run.worlds, run.step_folder(run.config.schedule.grounding_steps)
-    policy = run.load_policy(last / "policy/final.ckpt")
-    G = run.load_visual()
-    source, target, _ = paired_stacks(worlds, policy, G, 40, seed=1)
+    worlds, twin = run.worlds, run.worlds.target_twin()
+    if twin is None:
+        raise ValueError(f"{folder}: its target cannot be put into the source's states, so nothing can be paired")
+    policy, G = run.load_policy(sorted(folder.glob("step_*/policy/final.ckpt"))[-1]), run.load_visual()
+    source, target, _ = paired_stacks(worlds, twin, policy, G, 40, seed=1)
     frames = source if G.frames > 1 else source[:, -1:]
     with closing(worlds.rewarded_target(1)) as env:
         played, _ = record_video(env, deterministic(policy), 40, seed=1)

@@ -1,6 +1,6 @@
 """How fast does each stage of a config train on this machine, and how long would the whole config take?
 
-    python benchmarks/stages.py                                                                  # walker_hard.yaml
+    python benchmarks/stages.py                                                                  # pendulum_hard.yaml
     python benchmarks/stages.py --config configs/walker_hard.yaml configs/presets/paper.yaml     # the paper's size
     python benchmarks/stages.py --config ... --longer 10     # on a GPU, where a unit is much shorter than the start-up
 
@@ -90,7 +90,7 @@ def main() -> None:
     """Run the benchmark; rows of other configs stay."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument(
-        "--config", type=Path, nargs="+", default=[ROOT / "configs/walker_hard.yaml"], help="later over earlier"
+        "--config", type=Path, nargs="+", default=[ROOT / "configs/pendulum_hard.yaml"], help="later over earlier"
     )
     p.add_argument("--longer", type=int, default=1, help="run every stage so many times as long")
     p.add_argument("--out", type=Path, default=ROOT / "results/stages.csv")

@@ -261,8 +261,8 @@ def training_rows(name: str, size: int, device: torch.device, o: argparse.Namesp
         pixels = write_noise(Path(folder), n, size)
         data = ImageDomains(root=folder, batch_size=batch)
         data.setup("fit")
-        floats = [x.movedim(-1, 1).contiguous().float() / 127.5 - 1 for x in pixels]
-        plain = PlainLoop(settings, *floats, batch, device)
+        source, target = (x.movedim(-1, 1).contiguous().float() / 127.5 - 1 for x in pixels)
+        plain = PlainLoop(settings, source, target, batch, device)
         times: dict[str, list[tuple[float, float]]] = {"reference": []} | {v: [] for v in o.variants}
         dtypes = {v: torch.float32 if VARIANTS.get(v, REFERENCE)[0] == "32-true" else torch.bfloat16 for v in times}
         peaks = dict.fromkeys(dtypes.values(), 0.0)

@@ -12,13 +12,7 @@ from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import Policy
 from idapt_pl.stages.aside import Aside, in_turn
-from idapt_pl.stages.collection import (
-    explorer,
-    on_policy,
-    record_source,
-    record_target,
-    replay_in_source,
-)
+from idapt_pl.stages.collection import explorer, on_policy, record_source, record_target, replay_in_source
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.dynamics import fit_F
@@ -70,9 +64,6 @@ class IterativeGrounding:
         effects: whether effects are sought that the source lacks.
         aside: starts what the rest does not wait for: the source policy beside G, measurements beside the next step.
         randomised: whether policies train in variants of the source within the intervals of the effects that are found.
-
-    Raises:
-        ValueError: if the exploration needs a teacher and there is none.
     """
 
     def __init__(
@@ -88,11 +79,6 @@ class IterativeGrounding:
         self.context, self.evaluation, self.schedule = context, evaluation, schedule
         self.repair = SourceRepair(context, effects, self.record_control, randomised, schedule.paired_steps)
         self.rollback = Rollback(context.worlds, context.stages, schedule.rollback)
-        if schedule.exploration == "rehearse" and not context.teacher.settings.steps:
-            raise ValueError(
-                "schedule.exploration: rehearse plays what a teacher does in the source, and there is none: "
-                "give teacher.steps and teacher.dagger, or explore by babble or random"
-            )
 
     def run(self) -> list[dict]:
         """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
@@ -117,23 +103,23 @@ class IterativeGrounding:
         self.repair.physical_effects(0, D_T, G, pi)
         labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
         pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled)
-        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, pi, G, None, P_S, D_T))
+        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths = self.context, self.schedule.finetune
-        D_S = (*g.D_S, self.act_in_source(k, g, D_T[-1]))
+        D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F))
         P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G, replayed)
         pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi)
         repaired = self.repair.physical_effects(k, D_T, G, pi)
-        F_before = None if repaired else g.F  # else it was F of another source
-        F = self.ground_actions(k, D_T, G, pi, F_before)
-        F = self.rollback(k, g.pi, G, F, F_before, D_T[-1])
+        F_before = None if repaired else g.F  # a source that was repaired needs a new F
+        F = self.ground_actions(k, D_T, G, F_before, pi)
+        F = self.rollback(k, D_T[-1], G, F, F_before, g.pi)
         labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi, self.schedule.paired_steps)
         pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled)
-        return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, pi, G, F, P_S, D_T, pi_before))
+        return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, D_T, P_S, G, F, pi, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:
         """Whether the policy's new data show nothing that step k could learn, if the schedule asks."""
@@ -151,11 +137,11 @@ class IterativeGrounding:
         return self.aside("source_policy", self.context.stages.folder(0) / "direct_transfer.json", work)
 
     def report(
-        self, k: int, pi: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None, P_S: StatePredictor,
-        D_T: tuple[Path, ...], pi_before: AsymmetricSAC | None = None,
+        self, k: int, D_T: tuple[Path, ...], P_S: StatePredictor, G: VisualTransformation,
+        F: ActionTransformation | None, pi: AsymmetricSAC, pi_before: AsymmetricSAC | None = None,
     ) -> Callable[[], dict]:  # fmt: skip
         """Everything measured after step k; nothing waits for it."""
-        work = partial(self.evaluation.report, k, pi, G, F, P_S, D_T[-1:], pi_before)
+        work = partial(self.evaluation.report, k, D_T[-1:], P_S, G, F, pi, pi_before)
         return self.aside(f"evaluation_{k}", self.context.stages.folder(k) / "evaluation.json", work)
 
     def ground_actions(
@@ -163,15 +149,15 @@ class IterativeGrounding:
         k: int,
         D_T: tuple[Path, ...],
         G: VisualTransformation,
-        pi: AsymmetricSAC,
         F: ActionTransformation | None,
+        pi: AsymmetricSAC,
     ) -> ActionTransformation | None:
         """F by GARAT on the newest target data, and on the task-agnostic ones if F explores."""
         if not self.schedule.action_transformation:
             return F
         target = [D_T[0], D_T[-1]] if self.context.batches.garat_exploring else D_T[-1:]
         rollouts, hold_out = self.schedule.finetune.dynamics, self.schedule.rollback
-        return fit_F(self.context, k, target, rollouts, pi, G, F, self.explore, hold_out)
+        return fit_F(self.context, k, target, G, F, pi, rollouts, self.explore, hold_out)
 
     def explore_target(self) -> Path:
         """D^T: images of the target, from exploration."""
@@ -183,12 +169,6 @@ class IterativeGrounding:
         s = self.schedule
         steps, horizon = s.source_images or s.images, s.exploration_horizon
         return record_source(self.context, 0, self.explore, steps, horizon=horizon)
-
-    def act_in_source(self, k: int, g: Grounding, recording: Path) -> Path:
-        """D^S of grounding step k: the policy in the grounded source, or what it did in the target played again."""
-        if self.schedule.source_actions == "target":
-            return replay_in_source(self.context, k, [recording], g.G, g.F)
-        return record_source(self.context, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F)
 
     def play_again(self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None) -> Path | None:
         """What the first actions of the target's episodes do in the source as it is: nearly the same, for a while."""

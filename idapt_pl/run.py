@@ -216,6 +216,11 @@ def check_exploration(config: RunConfig, worlds: Worlds) -> None:
         ValueError: saying why not.
     """
     kinds = (config.schedule.exploration or "").split("+")
+    if "rehearse" in kinds and not config.teacher.steps:
+        raise ValueError(
+            "schedule.exploration: rehearse plays what a teacher does in the source, and there is none: give "
+            "teacher.steps and teacher.rehearse (or dagger), or explore by babble or random"
+        )
     if "backwards" in kinds:
         worlds.task.backwards()
     if {"backwards", "expert"} & set(kinds) and not worlds.target.has_states and config.method != "source":

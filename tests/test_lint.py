@@ -48,3 +48,13 @@ def test_planted_faults_are_found(tmp_path, command, text, told):
     assert complaints(command, tmp_path) == ""
     (tmp_path / "idapt_pl" / "bad.py").write_text(text)
     assert told in complaints(command, tmp_path)
+
+
+@pytest.mark.slow
+def test_benchmarks_call_what_there_is():
+    """Scripts that nobody runs for weeks notice by this that what they call has changed."""
+    command = "mypy -p benchmarks --namespace-packages --explicit-package-bases"
+    done = subprocess.run([sys.executable, "-m", *command.split()], cwd=ROOT, capture_output=True, text=True)
+    assert "checked" in done.stdout, done.stdout + done.stderr
+    kinds = ("[call-arg]", "[attr-defined]", "[name-defined]")
+    assert not [line for line in done.stdout.splitlines() if line.endswith(kinds)]

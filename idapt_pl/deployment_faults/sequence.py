@@ -18,7 +18,7 @@ from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.diagnosis.data import LEFT_OUT, measured_signals
 
 MOST_LOST = 4
-"""Rows lost on end that are told from one step."""
+"""Rows lost in a row that are told from one step."""
 
 FAR_FROM_USUAL = 8.0
 """Usual mismatches of positions and velocities beyond which a step is none of one control period."""
@@ -115,7 +115,7 @@ def size(off: np.ndarray, usual: np.ndarray) -> np.ndarray:
 def lost_rows(motion: JointMotion, dt: float, usual: np.ndarray, taken: set[int]) -> np.ndarray:
     """How many rows are missing after each row, (T,): the steps beside such a step are as usual.
 
-    Where a filter of the velocities has just begun, they lag for many steps on end, by less and less.
+    Where a filter of the velocities has just begun, they lag for many steps, by less and less.
 
     Args:
         motion: of the episode.

@@ -59,13 +59,11 @@ class WindowScores:
         score: d loss / d parameter, (n,); the best constant change taken out.
         information: (n,).
         constant: by how much the best constant value is above the one that the scores were taken at.
-        dispersion: by how much stretches differ more than noise would make them, at least 1; for intervals.
     """
 
     score: np.ndarray
     information: np.ndarray
     constant: float
-    dispersion: float
 
 
 def time_clusters(at: WindowTimes) -> np.ndarray:
@@ -78,7 +76,7 @@ def time_clusters(at: WindowTimes) -> np.ndarray:
     return out
 
 
-def scores_of(z: np.ndarray, others: Sequence[np.ndarray], own: np.ndarray, clusters: np.ndarray) -> WindowScores:
+def scores_of(z: np.ndarray, others: Sequence[np.ndarray], own: np.ndarray) -> WindowScores:
     """Scores of a parameter with slopes ``own`` (n, rows), the others and its own best constant value fitted."""
     root = np.sqrt(huber_weights(z))
     left, column = (root * z).ravel(), (root * own).ravel()
@@ -88,7 +86,7 @@ def scores_of(z: np.ndarray, others: Sequence[np.ndarray], own: np.ndarray, clus
     constant = -float(column @ left) / max(float(column @ column), 1e-300)
     score = (column * (left + constant * column)).reshape(len(z), -1).sum(1)
     information = np.square(column).reshape(len(z), -1).sum(1) + 1e-12
-    return WindowScores(score, information, constant, dispersion_of(score, information, clusters))
+    return WindowScores(score, information, constant)
 
 
 def dispersion_of(score: np.ndarray, information: np.ndarray, clusters: np.ndarray) -> float:

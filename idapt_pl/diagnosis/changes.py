@@ -243,7 +243,7 @@ def changing_ones(
     """Those of some parameters that surely change, what explains most first; accepted ones are fitted beside each."""
     if not tested:
         return []
-    scores = [scores_of(z, [t.slopes for t in accepted if t is not own], own.slopes, clusters) for own in tested]
+    scores = [scores_of(z, [t.slopes for t in accepted if t is not own], own.slopes) for own in tested]
     best, p = constancy_test(scores, shapes, clusters, context.seed)
     found = [
         Change(finding, t, shape)

@@ -128,11 +128,11 @@ class Evaluation:
     def report(
         self,
         step: int,
-        policy: AsymmetricSAC,
+        target: Sequence[Path],
+        P_S: StatePredictor,
         G: VisualTransformation,
         F: ActionTransformation | None,
-        P_S: StatePredictor,
-        target: Sequence[Path],
+        policy: AsymmetricSAC,
         policy_before: AsymmetricSAC | None = None,
     ) -> dict:
         """Everything measured after one grounding step."""

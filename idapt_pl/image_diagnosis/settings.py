@@ -31,8 +31,8 @@ class DiscoverySettings:
         max_effects: stop after so many in a grounding step.
         looks: before anything is learned, look for visual effects (camera, lamps, colours, sky, blur) in the first
             frames of the target's episodes, and add what is found to the source. Episodes must begin alike in both.
-        refine: a second opinion: which effects, with which parameters, let simulations from known starts forecast the
-            target's first frames best. Episodes must begin alike in both.
+        refine: where states tell positions, look instead for the effects, with their parameters, that let simulations
+            from known starts forecast the target's first frames best. Episodes must begin alike in both.
         every_step: look again in every grounding step; False looks in the task-agnostic data alone.
         known: effects that the source lacks as is known already: a file such as the ``effects.yaml`` of ``idapt
             diagnose``, or its content. They are added before anything is learned.

@@ -42,9 +42,7 @@ def known_start_section(searched: dict) -> str:
         sure = "-" if p["log_halfwidth"] is None else f"{format_number(100 * p['log_halfwidth'])} %"
         at = phrase_at(p["effect"], p["target"])
         values.append(row(at, p["parameter"], f"#{format_number(p['after'])}", f"#{sure}"))
-    verdict = "That is not enough, and nothing was added"
-    if searched["effects"]:
-        verdict = "This is what had been found before" if searched["suggested"] else "So this was added"
+    verdict = "So this was added" if searched["effects"] else "That is not enough, and nothing was added"
     said += (
         f"They are best with what the table has: their error falls from {before} to {after} (by {mean} nats, "
         f"{spread}). {verdict}."

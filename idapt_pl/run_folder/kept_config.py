@@ -13,7 +13,7 @@ CHANGE_NOTHING = {
 }  # fmt: skip
 """Keys that may differ in a resumed run; the folder may have been moved."""
 
-RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}}
+RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}, "schedule": {"source_actions": "policy"}}
 """Keys that older configs have, and the value at which leaving them out changes nothing."""
 
 

@@ -105,9 +105,6 @@ class TeacherSettings:
             raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
 
 
-NO_TEACHER = TeacherSettings()
-
-
 class DaggerExperience(Experience):
     """Acts as teacher or student, step by step by chance, and says what the teacher would have done.
 

@@ -35,10 +35,10 @@ def fit_F(
     c: StageContext,
     step: int,
     target: Sequence[Path],
-    rollouts: int,
-    pi: AsymmetricSAC,
     G: VisualTransformation,
     initial: ActionTransformation | None,
+    pi: AsymmetricSAC,
+    rollouts: int,
     explore: Callable[[int, int], Policy],
     hold_out: bool = False,
 ) -> ActionTransformation:
@@ -48,10 +48,10 @@ def fit_F(
         c: of the run.
         step: grounding step.
         target: trajectory files; images and actions are all that is used.
-        rollouts: of GARAT.
-        pi: whose features F sees, and whose rollouts it corrects.
         G: shows source images as target images.
         initial: the F that this one goes on from.
+        pi: whose features F sees, and whose rollouts it corrects.
+        rollouts: of GARAT.
         explore: seed and number of simulations to the policy of the task-agnostic data.
         hold_out: keep a share of the newest target file away from F, for :mod:`~idapt_pl.stages.rollback`.
     """

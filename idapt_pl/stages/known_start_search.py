@@ -1,4 +1,4 @@
-"""Which effect a source lacks, by forecasts from known starts: a second opinion on what another search found."""
+"""Which effect a source lacks, by forecasts from known starts (docs/decisions/037)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.effects import Effect, effect_from_dict
+from idapt_pl.effects import Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.image_diagnosis.calibration import read_calibrated
@@ -51,7 +51,6 @@ class KnownStartSearch:
     Attributes:
         best: the effects with which forecasts are best, and their parameters; empty where none does better than none.
         accepted: whether they are to be added.
-        suggested: whether they are those that another search had found.
         before: error of forecasts without them, as of :func:`~idapt_pl.stages.refinement.mean_error`.
         after: with them.
         gain: mean gain of recordings, its standard error, and the control's gain, nats.
@@ -60,7 +59,6 @@ class KnownStartSearch:
 
     best: tuple[list[Effect], list[Refined]]
     accepted: bool
-    suggested: bool
     before: float
     after: float
     gain: tuple[float, float, float]
@@ -75,7 +73,6 @@ class KnownStartSearch:
             "effects": effects if self.accepted else [],
             "best": effects,
             "parameters": how,
-            "suggested": self.suggested,
             "error": {"before": self.before, "after": self.after},
             "gain": gain,
             "tried": [{"candidate": c, "value": six_digits(x), "error": six_digits(e)} for c, x, e in self.tried],
@@ -84,7 +81,7 @@ class KnownStartSearch:
 
 def effects_from_known_starts(
     c: StageContext, step: int, settings: DiscoverySettings, sensor: ImageSensor, target: Sequence[Path],
-    control: Path, G: VisualTransformation, pi: AsymmetricSAC, found: Sequence[dict] = (), paired_steps: int = 0,
+    control: Path, G: VisualTransformation, pi: AsymmetricSAC, paired_steps: int = 0,
 ) -> list[dict]:  # fmt: skip
     """The effects to add, as they are written; ``known_start_search.json`` says why these.
 
@@ -97,7 +94,6 @@ def effects_from_known_starts(
         control: trajectory file of the source, images and states, that nothing was fitted to.
         G: shows source images as target images.
         pi: its encoder reads target images.
-        found: effects that another search found.
         paired_steps: control steps from where episodes begin that G learned as pairs; they are not judged.
     """
 
@@ -106,27 +102,24 @@ def effects_from_known_starts(
         candidates = forecast_candidates(source, read_calibrated(sensor, source, target, [control], G), settings)
         sizes = RECORDINGS_JUDGED, MEMBERS_JUDGED
         forecasts = known_start_forecasts(c, target, control, G, pi, seed, *sizes, paired_steps)
-        return search_from_known_starts(candidates, *forecasts, [effect_from_dict(e) for e in found]).to_dict()
+        return search_from_known_starts(candidates, *forecasts).to_dict()
 
     return c.stages.measure(step, "known_start_search", make)["effects"]
 
 
 def search_from_known_starts(
-    candidates: Sequence[Candidate], of_target: KnownStartForecasts, of_control: KnownStartForecasts,
-    suggested: Sequence[Effect] = (),
-) -> KnownStartSearch:  # fmt: skip
-    """The effect with which the target's first frames are forecast best, or those that are suggested.
+    candidates: Sequence[Candidate], of_target: KnownStartForecasts, of_control: KnownStartForecasts
+) -> KnownStartSearch:
+    """The effect with which the target's first frames are forecast best.
 
     It must be worth what an effect judged by forecasts must (:mod:`~idapt_pl.image_diagnosis.forecast_search`; a tenth
     of the errors is about 0.1 nats), and more than twice as much as in the control, where nothing is missing: what
-    helps there too makes up for the sensor. What is suggested is put aside for what forecasts surely better, and else
-    added.
+    helps there too makes up for the sensor.
 
     Args:
         candidates: effects of one parameter.
         of_target: forecasts of the target.
         of_control: of the source itself, seen through G.
-        suggested: what another search found.
     """
     tried = screened(candidates, of_target)
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
@@ -137,15 +130,7 @@ def search_from_known_starts(
     best = refine_parameters(min(rivals, key=lambda rival: of_target(rival).mean(), default=[]), of_target)
     misfit = of_target(best[0])
     gain, clear = gain_of(best[0], without, misfit, of_control)
-    if suggested:
-        own = refine_parameters(suggested, of_target)
-        its_misfit = of_target(own[0])
-        better, spread = paired_gain(its_misfit, misfit, np.arange(len(without)))
-        log.info("%s forecasts %s better than what was found", labels_of(best[0]), nats(better, spread))
-        if not clear or better < STANDARD_ERRORS * spread:
-            gain, _ = gain_of(own[0], without, its_misfit, of_control)
-            return KnownStartSearch(own, True, True, before, mean_error(its_misfit), gain, told)
-    return KnownStartSearch(best, clear, False, before, mean_error(misfit), gain, told)
+    return KnownStartSearch(best, clear, before, mean_error(misfit), gain, told)
 
 
 def gain_of(

@@ -75,9 +75,9 @@ class SourceRepair:
         """Effects and what is estimated of them, where states tell positions."""
         worlds = self.context.worlds
         sensor = ImageSensor(pi.estimator(G), worlds.task, worlds.frame_stack)
-        if self.settings.refine and self.paired_steps:
-            told = (self.context, k, self.settings, sensor, target, control, G, pi)
-            return effects_from_known_starts(*told, paired_steps=self.paired_steps), []
+        if self.settings.refine:
+            sought = (self.context, k, self.settings, sensor, target, control, G, pi, self.paired_steps)
+            return effects_from_known_starts(*sought), []
 
         def make(seed: int) -> dict:
             found = discover_effects(
@@ -87,10 +87,7 @@ class SourceRepair:
             return found.to_dict()
 
         result = self.context.stages.measure(k, "effects", make)
-        found = result["effects"]
-        if self.settings.refine:
-            found = effects_from_known_starts(self.context, k, self.settings, sensor, target, control, G, pi, found)
-        return found, result["estimates"]
+        return result["effects"], result["estimates"]
 
     def _add(self, k: int, found: list[dict]) -> bool:
         """Add effects to the source. The run folder keeps all so far, as a domain or ``idapt diagnose`` takes them.

@@ -117,7 +117,7 @@ def effects_from_replays(
         task, domain = c.worlds.task, c.worlds.source_domain
         if not shown:
             log.warning("step %d  nothing of %s is known where episodes begin: no effects are sought", step, task.name)
-            return KnownStartSearch(([], []), False, False, 0.0, 0.0, (0.0, 0.0, 0.0), ()).to_dict()
+            return KnownStartSearch(([], []), False, 0.0, 0.0, (0.0, 0.0, 0.0), ()).to_dict()
         read = [of_one_length(recordings_of(d, pi.estimator(G), c.worlds.frame_stack)) for d in (seen, known)]
         begin = paired_steps if min(len(r) for d in read for r in d) >= paired_steps + STEPS_AFTER_PAIRS else 0
         of_target, of_control = (Replays(task, domain, d, shown, scale, begin) for d in read)
@@ -157,11 +157,11 @@ def search_by_replays(
         if not clear:
             if not now:
                 return KnownStartSearch(
-                    (effects, refined), False, False, mean_error(without), mean_error(its_misfit), its_gain, told
+                    (effects, refined), False, mean_error(without), mean_error(its_misfit), its_gain, told
                 )
             break
         now, how, misfit, gain = effects, refined, its_misfit, its_gain
-    return KnownStartSearch((now, how), bool(now), False, mean_error(without), mean_error(misfit), gain, told)
+    return KnownStartSearch((now, how), bool(now), mean_error(without), mean_error(misfit), gain, told)
 
 
 def signed_screening(

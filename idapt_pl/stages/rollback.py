@@ -138,8 +138,8 @@ class Rollback:
     on: bool
 
     def __call__(
-        self, k: int, pi: AsymmetricSAC, G: VisualTransformation, F: ActionTransformation | None,
-        F_before: ActionTransformation | None, target: Path,
+        self, k: int, target: Path, G: VisualTransformation, F: ActionTransformation | None,
+        F_before: ActionTransformation | None, pi: AsymmetricSAC,
     ) -> ActionTransformation | None:  # fmt: skip
         """The F to go on with; ``pi`` is the policy whose recording ``target`` is."""
         if not self.on or F is None or F is F_before:

@@ -120,8 +120,6 @@ class Schedule:
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
-        source_actions: what the source is recorded with in a grounding step: the ``policy``, in the grounded source, or
-            the ``target``'s recorded actions again, so that G need not make up for what happened in one of them alone.
         paired_steps: so many control steps from the start of each of the target's episodes are played again in the
             source as it is. Images of the same step then show nearly the same to ``visual.reset_weight``, where
             otherwise only first observations do. As many as the two dynamics take to part ways. 0 for none.
@@ -143,14 +141,10 @@ class Schedule:
     grounding_steps: int | None = 5
     images: int = 20_000
     source_images: int | None = None
-    exploration: (
-        Literal["random", "babble", "rehearse", "expert", "backwards", "random+expert", "random+backwards+expert"]
-        | None
-    ) = "random"
+    exploration: Exploration | None = "random"
     exploration_horizon: int | None = None
     interactions: int = 1000
     source_policy: int | None = 10_000
-    source_actions: Literal["policy", "target"] = "policy"
     paired_steps: int = 0
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))

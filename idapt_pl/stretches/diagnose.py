@@ -18,7 +18,7 @@ def diagnose_stretches(
     diagnose: Callable[[Trajectories], Diagnosis], data: Trajectories, conditions: tuple[str, ...] = (),
     look: bool = True, finish: Callable[[Diagnosis], Diagnosis] = lambda found: found,
 ) -> tuple[Diagnosis, StretchReport]:  # fmt: skip
-    """Diagnose recordings; where the model fails on end, far beyond the rest, leave that out and diagnose again.
+    """Diagnose recordings; where the model fails for a while, far beyond the rest, leave that out and diagnose again.
 
     Args:
         diagnose: recordings, to a diagnosis. It must not use steps that ``infos/left_out`` marks.

@@ -1,4 +1,4 @@
-"""Stretches found from the recordings: short forecasts fail there, on end, far beyond what they do in the rest.
+"""Stretches found from the recordings: where short forecasts fail in a row, far beyond the rest.
 
 It is the model with what was found missing that forecasts, so that an effect that shows only now and then (a limit, a
 contact) has its chance first.
@@ -33,10 +33,10 @@ TAIL = 0.99
 """A stretch is also worse than this quantile of the rest: contacts make spikes."""
 
 SHORTEST_STRETCH, FEWEST_FORECASTS = 0.2, 5
-"""A stretch lasts so many seconds, and forecasts on end, at least; a contact or a switch is over sooner."""
+"""A stretch lasts so many seconds, and forecasts in a row, at least; a contact or a switch is over sooner."""
 
 LONGEST_GAP, SHARE_FAR = 0.1, 0.7
-"""Forecasts within a stretch may be good by chance, so many seconds on end; this share of them must be far off."""
+"""Forecasts within a stretch may be good by chance, so many seconds in a row; this share of them must be far off."""
 
 LARGEST_SHARE = 0.3
 """Of a recording; if more fails, the model does."""

@@ -38,7 +38,7 @@ PAPER = {
     # Section V-B; Fig. 4 (100 episodes); Appendix: Accumulating Data (not done by default)
     "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
     "schedule.accumulate": False, "schedule.action_transformation": True,
-    "schedule.rollback": False, "schedule.until_settled": False, "schedule.source_actions": "policy",
+    "schedule.rollback": False, "schedule.until_settled": False,
     "schedule.exploration_horizon": None, "schedule.paired_steps": 0,
     "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
     "effects.known": None, "randomisation.ranges": None,

@@ -75,7 +75,7 @@ def test_a_parameter_that_does_nothing_is_constant():
     z, clusters = rng.normal(size=(n, 6)), np.repeat(np.arange(8), 5)
     shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
     _, (p, _) = constancy_test(
-        [scores_of(z, [], np.zeros_like(z), clusters), scores_of(z, [], rng.normal(size=z.shape), clusters)],
+        [scores_of(z, [], np.zeros_like(z)), scores_of(z, [], rng.normal(size=z.shape))],
         shapes, clusters, 0,
     )  # fmt: skip
     assert p > 0.5

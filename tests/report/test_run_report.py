@@ -218,7 +218,7 @@ def test_rollback_effects_and_the_oracle_are_told(copied):
 def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     effect = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 195.0}}
     how = {"effect": "body_mass", "target": "pole", "parameter": "mass", "before": 150.0, "after": 195.0}
-    searched = {"effects": [], "best": [effect], "suggested": False, "parameters": [how | {"log_halfwidth": 0.2}],
+    searched = {"effects": [], "best": [effect], "parameters": [how | {"log_halfwidth": 0.2}],
                 "error": {"before": 0.35, "after": 0.33}, "gain": {"mean": 0.02, "standard_error": 0.015},
                 "tried": [{"candidate": "body_mass(pole)", "value": 150.0, "error": 0.34}]}  # fmt: skip
     path = copied / "step_02/known_start_search.json"
@@ -232,8 +232,6 @@ def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
     assert "(by 0.02 nats, in fewer than half of the recordings)" in report(copied).text
     path.write_text(json.dumps(searched | {"effects": [effect]}))
     assert "So this was added." in report(copied).text
-    path.write_text(json.dumps(searched | {"effects": [effect], "suggested": True}))
-    assert "This is what had been found before." in report(copied).text
     path.write_text(json.dumps(searched | {"best": [], "parameters": [], "tried": []}))
     assert "None makes them better." in report(copied).text
 
@@ -241,7 +239,7 @@ def test_a_search_from_known_starts_is_told_whatever_it_found(copied):
 def test_a_search_from_known_starts_alone_is_told_too(copied):
     effect = {"effect": "body_mass", "target": "pole", "parameters": {"mass": 195.0}}
     how = {"effect": "body_mass", "target": "pole", "parameter": "mass", "after": 195.0, "log_halfwidth": 0.2}
-    searched = {"effects": [effect], "best": [effect], "suggested": False, "parameters": [how], "tried": [],
+    searched = {"effects": [effect], "best": [effect], "parameters": [how], "tried": [],
                 "error": {"before": 0.35, "after": 0.2}, "gain": {"mean": 0.5, "standard_error": 0.02}}  # fmt: skip
     (copied / "step_00/effects.json").unlink(missing_ok=True)
     assert "Step 0: G alone" in report(copied).text

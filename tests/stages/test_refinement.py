@@ -140,23 +140,9 @@ def test_a_gain_of_few_recordings_has_no_error_and_is_not_enough():
     without, misfit = np.array([9.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.1, 0.1, 0.1])
     gain, enough = gain_of([BodyMass("body", 2.0)], without, misfit, lambda effects: np.zeros(4))
     assert gain[0] > 0 and not enough
-    written = KnownStartSearch(([], []), False, False, 1.0, 1.0, gain, ()).to_dict()
+    written = KnownStartSearch(([], []), False, 1.0, 1.0, gain, ()).to_dict()
     assert written["gain"]["standard_error"] is None
     json.loads(json.dumps(written, allow_nan=False))
-
-
-@pytest.mark.slow  # two minutes
-def test_what_another_search_found_is_put_aside_for_what_is_surely_better_and_else_kept(errors, nothing):
-    assert search_from_known_starts(CANDIDATES, nothing, nothing).to_dict()["effects"] == []
-    wrong, right = JointDamping("bshin", 12.0), BodyMass("torso", 10.0)
-    instead = search_from_known_starts(CANDIDATES, errors, nothing, [wrong]).to_dict()
-    assert [(e["effect"], e["target"]) for e in instead["effects"]] == [("body_mass", "torso")]
-    alone = search_from_known_starts(CANDIDATES, errors, nothing).to_dict()
-    assert not instead["suggested"] and instead["best"] == alone["best"]
-    kept = search_from_known_starts(CANDIDATES[1:], errors, nothing, [right]).to_dict()
-    assert kept["suggested"] and kept["effects"][0]["target"] == "torso"
-    kept = search_from_known_starts(CANDIDATES, nothing, nothing, [wrong]).to_dict()
-    assert kept["suggested"] and kept["effects"][0]["effect"] == "joint_damping"
 
 
 @pytest.mark.parametrize("start", [8.5, 16.0])
