@@ -9,6 +9,7 @@ import numpy as np
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.simulator import Effects, Simulator
+from idapt_pl.estimation.intervals import clusters_of
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,11 @@ class WhitenedWindows:
 
     @property
     def clusters(self) -> np.ndarray:
-        """Windows within which noise may be dependent, by a number each, (n,): those of an episode."""
-        return self.windows.episode
+        """Windows within which noise may be dependent, by a number each, (n,): those of an episode.
+
+        One episode says nothing of how episodes differ, and two hardly anything: there it is those of a stretch.
+        """
+        return clusters_of(self.windows.episode, self.windows.start, enough=3)
 
     def unwhitened(self, sim: Simulator, effects: Effects) -> np.ndarray:
         """What is whitened: what was measured minus what is predicted, (n, j, channels)."""

@@ -8,6 +8,9 @@ import numpy as np
 
 from idapt_pl.estimation.least_squares import LeastSquaresFit, huber_weights
 
+FEWEST_CLUSTERS = 8
+"""Where there are fewer episodes, stretches of them may stand for episodes in intervals."""
+
 
 def influence(fit: LeastSquaresFit) -> tuple[np.ndarray, np.ndarray]:
     """How x / scale moves with residuals, but for the sign: (JᵀWJ)⁻¹, (p, p), and W J, (n rows, p)."""
@@ -40,6 +43,25 @@ def covariance(fit: LeastSquaresFit, clusters: np.ndarray) -> np.ndarray:
     g = np.stack([scores[clusters == c].sum(0) for c in names])
     correction = len(names) / max(len(names) - 1, 1)
     return correction * bread @ (g.T @ g) @ bread
+
+
+def clusters_of(episode: np.ndarray, start: np.ndarray, enough: int = FEWEST_CLUSTERS) -> np.ndarray:
+    """Windows that may err alike, (n,): those of an episode, or of a stretch of it where episodes are few.
+
+    Args:
+        episode: of each window, (n,).
+        start: its first sample, (n,).
+        enough: so many episodes are not few.
+    """
+    names = np.unique(episode)
+    if len(names) >= enough:
+        return episode
+    parts, out = -(-FEWEST_CLUSTERS // len(names)), np.zeros(len(episode), int)
+    for k, e in enumerate(names):
+        rows = np.flatnonzero(episode == e)
+        rank = np.argsort(np.argsort(start[rows], kind="stable"), kind="stable")
+        out[rows] = k * parts + rank * parts // len(rows)
+    return out
 
 
 def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> tuple[float, float]:

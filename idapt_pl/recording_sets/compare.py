@@ -18,15 +18,12 @@ from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.summary import significant
 from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
 from idapt_pl.effects.wording import unit_at
-from idapt_pl.estimation.intervals import covariance
+from idapt_pl.estimation.intervals import clusters_of, covariance
 from idapt_pl.recording_sets.join import RecordingSet
 from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 
 MOST_WINDOWS = 250
 """Windows of each file."""
-
-FEWEST_CLUSTERS = 8
-"""Where a file has fewer episodes, stretches of them stand for episodes in intervals."""
 
 CHANCE = 0.005
 """Chance that any value is said to differ although none does, if intervals are as wide as they should be."""
@@ -105,19 +102,6 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
                 unit_at(sim.model, c.target, unit),
             )  # fmt: skip
     return OwnFit(np.concatenate(fit.x), half, SetResult(recordings, before, common, own, values))
-
-
-def clusters_of(episode: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Windows that may err alike, (n,): those of an episode, or of a stretch of it where episodes are few."""
-    names = np.unique(episode)
-    if len(names) >= FEWEST_CLUSTERS:
-        return episode
-    parts, out = -(-FEWEST_CLUSTERS // len(names)), np.zeros(len(episode), int)
-    for k, e in enumerate(names):
-        rows = np.flatnonzero(episode == e)
-        rank = np.argsort(np.argsort(start[rows], kind="stable"), kind="stable")
-        out[rows] = k * parts + rank * parts // len(rows)
-    return out
 
 
 def changed_values(diagnosis: Diagnosis, fits: Sequence[OwnFit]) -> list[ChangedValue]:

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
-from idapt_pl.estimation.intervals import covariance, paired_gain, unknown_variance
+from idapt_pl.estimation.intervals import clusters_of, covariance, paired_gain, unknown_variance
 from idapt_pl.estimation.least_squares import LeastSquaresFit
 
 
@@ -52,3 +53,17 @@ def test_a_gain_in_a_minority_of_episodes_is_not_sure_at_all():
     assert gain > 0 and error == np.inf
     loss, error = paired_gain(np.ones(20), 2 - after, np.repeat(np.arange(4), 5))
     assert loss < 0 and np.isfinite(error)
+
+
+@pytest.mark.parametrize("episodes", [1, 2, 3])
+def test_intervals_cover_the_truth_however_few_episodes_there_are(episodes):
+    rng, n, covered = np.random.default_rng(episodes), 60, 0
+    episode, start = np.repeat(np.arange(episodes), n // episodes), np.tile(np.arange(n // episodes), episodes)
+    clusters = clusters_of(episode, start, enough=3)
+    quantile = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2))
+    for _ in range(400):
+        J, noise = rng.normal(size=(4 * n, 1)), rng.normal(size=4 * n)
+        x = np.linalg.lstsq(J, noise, rcond=None)[0]  # the truth is 0
+        V = covariance(LeastSquaresFit(x, 1.0, J, (noise - J @ x).reshape(n, 4)), clusters)
+        covered += abs(x[0]) < quantile * np.sqrt(V[0, 0])
+    assert 0.91 < covered / 400 < 0.99

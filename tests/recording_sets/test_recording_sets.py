@@ -13,8 +13,8 @@ from conftest import ROOT
 from cli.main import main
 from datamodules import write_trajectories
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.estimation.intervals import clusters_of
 from idapt_pl.recording_sets import compare_sets, join_recordings
-from idapt_pl.recording_sets.compare import clusters_of
 from idapt_pl.report.sets_section import comparison_section, comparison_sentences
 
 sys.path.insert(0, str(ROOT / "tests" / "report"))
