@@ -304,8 +304,10 @@ def other_candidates(
         if c.label in known or issubclass(c.kind, SensingEffect | ExternalForce):
             continue
         x = np.array(c.nominal, float)
+        taken_back = any(a.candidate.overlaps(c) for a in state.accepted)  # another value of the same element
+        base = all_windows(context, state, (*state.effects, c.effect(x)), order) if taken_back else z
         x[0] += (h := small_step(c, x, 0))
-        slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - z) / h
+        slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - base) / h
         if np.linalg.norm(slopes) * c.scale[0] > 1.0:
             out.append(ParameterInTime(c, 0, float(c.nominal[0]), slopes, None))
     return out

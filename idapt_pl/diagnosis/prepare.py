@@ -19,6 +19,7 @@ from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.joints import JointBacklash
 
 
 def begin_search(
@@ -37,7 +38,8 @@ def begin_search(
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
     sizes = typical_sizes(sim.model, data, steps * sim.control_period)
-    unlimited = choose_candidates(all_candidates(model, sizes), candidates)
+    begin = sim.spec_with([e for e in declared if not isinstance(e, JointBacklash)])  # that adds joints
+    unlimited = choose_candidates(all_candidates(begin, sizes), candidates)
     considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
     without_ranges = unlimited if settings.plausible else ()
     context = SearchContext(

@@ -167,10 +167,7 @@ class ScoreTest:
 
     def change_now(self, effect: Effect) -> np.ndarray:
         """The same, simulated under this very model."""
-        if self.respond is not None:
-            return self.change(effect)
-        z = whiten(self.split.W, self.residual((*self.state.effects, effect)) - self.base)
-        return self.clear(z.reshape(-1, 1))[:, 0]
+        return self.clear(self.response_now(effect).reshape(-1, 1))[:, 0]
 
     def response(self, effect: Effect) -> np.ndarray:
         """What an effect changes in the whitened residual on top of the current model, (rows,)."""
@@ -179,14 +176,40 @@ class ScoreTest:
         effects = (*self.state.effects, effect)
         return self.responses.get(effect, lambda: self.residual(effects) - self.base).ravel()
 
-    def derivative(self, c: Candidate, x: np.ndarray, accepted: int | None = None) -> np.ndarray:
-        """D z / d (x / scale) on top of the current model (of the accepted effect with that number), (rows, p)."""
+    def response_now(self, effect: Effect) -> np.ndarray:
+        """The same, simulated under this very model."""
+        if self.respond is not None:
+            return self.respond(effect).ravel()
+        return whiten(self.split.W, self.residual((*self.state.effects, effect)) - self.base).ravel()
+
+    def standing(self, c: Candidate) -> tuple[np.ndarray, np.ndarray | None]:
+        """Where a search for a candidate begins, (p,), and what it changes there already, (rows,) or nothing.
+
+        That is its nominal value, and nothing. But where an accepted effect has given its element another value, the
+        candidate takes that back: then it begins from whichever of the two changes less.
+        """
+        nominal = np.array(c.nominal)
+        places = [nominal, *(a.x for a in self.state.accepted if a.candidate.overlaps(c))]
+        if len(places) == 1:
+            return nominal, None
+        changes = [self.response_now(c.effect(x)) for x in places]
+        least = int(np.argmin([np.linalg.norm(change) for change in changes]))
+        return places[least], changes[least]
+
+    def derivative(
+        self, c: Candidate, x: np.ndarray, accepted: int | None = None, at_x: np.ndarray | None = None
+    ) -> np.ndarray:
+        """D z / d (x / scale) on top of the current model (of the accepted effect with that number), (rows, p).
+
+        ``at_x`` is what the candidate changes at x already, (rows,), if it does.
+        """
         effects, (_, high), columns = self.state.effects, c.bounds(), []
         for k in range(c.size):
             moved, sign = np.array(x, float), 1.0 if x[k] + DERIVATIVE_STEP * c.scale[k] <= high[k] else -1.0
             moved[k] += sign * DERIVATIVE_STEP * c.scale[k]
             if accepted is None:
-                change = self.response(c.effect(moved))
+                effect = c.effect(moved)
+                change = self.response(effect) if at_x is None else self.response_now(effect) - at_x
             else:
                 own = len(self.state.fixed) + accepted
                 others = (*effects[:own], *effects[own + 1 :], c.effect(moved))
@@ -195,15 +218,17 @@ class ScoreTest:
         return np.stack(columns, 1)
 
     def score(self, c: Candidate, starts: Sequence[np.ndarray | tuple[float, ...]], round: int) -> Trial:
-        """The better of a linear step from nominal and of the given places to start a fit from."""
-        nominal = np.array(c.nominal)
-        D = self.clear(self.derivative(c, nominal))
-        x, gain = linear_step(D, self.left, nominal, parameter_box([c]))
+        """The better of a linear step from where it changes nothing, and of given places to start a fit from."""
+        begin, change = self.standing(c)
+        D = self.clear(self.derivative(c, begin, at_x=change))
+        left = self.left if change is None else self.left + self.clear(change.reshape(-1, 1))[:, 0]
+        x, gain = linear_step(D, left, begin, parameter_box([c]))
+        gain += self.total - float(left @ left)
         norm = np.linalg.norm(D, axis=0)
         for s in starts:
-            secant = self.change(c.effect(s))
+            secant = (self.change if change is None else self.change_now)(c.effect(s))
             size = float(secant @ secant)
-            norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, nominal)) > 0) / 10)
+            norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, begin)) > 0) / 10)
             removed = self.total - float(np.square(self.left + secant).sum())
             if size > 1e-12 and removed > gain:
                 gain, x = removed, np.array(s, float)

@@ -115,16 +115,21 @@ class Simulator:
         """The model with those effects that MJCF can say; command effects act on the commands instead."""
         return self._ready(effects)[0]
 
+    def spec_with(self, effects: Sequence[Effect]) -> mujoco.MjSpec:
+        """A copy of the spec with those effects that MJCF can say."""
+        spec = self.spec.copy()
+        for effect in effects:
+            if not acts_outside_model(effect):
+                effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
+        return spec
+
     def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
         """The model and room to simulate it, for each thread; the last few are kept."""
         said = tuple(e for e in effects if not acts_outside_model(e))
         if said not in self._compiled:
             if len(self._compiled) >= self.kept_models:
                 self._compiled.pop(next(iter(self._compiled)))
-            spec = self.spec.copy()
-            for effect in said:
-                effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
-            model = spec.compile()
+            model = self.spec_with(said).compile()
             self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
         return self._compiled[said]
 

@@ -59,6 +59,11 @@ class Candidate:
         n = self.strength or self.size
         return float(np.max(np.abs(np.subtract(x, self.nominal)[:n]) / np.array(self.scale[:n])))
 
+    def overlaps(self, other: Candidate) -> bool:
+        """Whether both set the same parameters of an element: one is for it alone, and one for all of its kind."""
+        shared = {"*", ACTUATED} & {self.target, other.target}
+        return (self.kind, self.names) == (other.kind, other.names) and self.target != other.target and bool(shared)
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the parameters: what is plausible where that is known, else what is possible."""
         if self.plausible is not None:
