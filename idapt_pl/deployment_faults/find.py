@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Trajectories
+from idapt_pl.deployment_faults.arriving import as_commands_arrive
 from idapt_pl.deployment_faults.commands import Influence, measure_influence
 from idapt_pl.deployment_faults.components import faults_of
 from idapt_pl.deployment_faults.drives import drive_hypotheses, without_servo
@@ -31,6 +32,7 @@ from idapt_pl.deployment_faults.stale import without_stale_rows
 from idapt_pl.deployment_faults.velocities import velocity_mend
 from idapt_pl.diagnosis.data import measured_signals
 from idapt_pl.diagnosis.model import name_elements
+from idapt_pl.effects.own_signals import take_signals
 
 LEAST_GAIN = 0.7
 """Log of the ratio of squared misses, without and with a mend, below which nothing is said."""
@@ -119,7 +121,8 @@ def find_deployment_faults(
         UnusableData: the recordings do not fit the model.
     """
     started = time.perf_counter()
-    compiled = name_elements(model.copy()).compile()
+    plain, own = take_signals(name_elements(model.copy()))
+    compiled = plain.compile()
     measured = all(measured_signals(compiled, f"episode_{i}", e)[1] is not None for i, e in enumerate(trajectories))
     data, repeats = without_stale_rows(compiled, trajectories)
     found: list[DeploymentFault] = []
@@ -127,7 +130,7 @@ def find_deployment_faults(
         found.append(repeated_samples(repeats, sum(len(e) + 1 for e in trajectories)))
     sequence = find_sequence_faults(compiled, data)
     found += sequence_faults(sequence, data)
-    data = without_sequence_faults(data, sequence)
+    data = as_commands_arrive(compiled, without_sequence_faults(data, sequence), own)
     mend = Mend.nothing(compiled)
     search = FaultSearch.of(compiled, data, measured, 1.0, seed) if 0 < data.dt < np.inf else None
     if search and min(len(search.fit), len(search.held_out)) >= FEWEST_STARTS:

@@ -20,6 +20,7 @@ from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.model_mend import mended_model
 from idapt_pl.diagnosis.data import measured_signals, slopes, steps_left_out
 from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
+from idapt_pl.effects.own_signals import first_activations
 
 FORECAST_TIME = 0.06
 """Seconds that a forecast looks ahead, about: longer than a small delay, shorter than what errors of contacts need."""
@@ -166,7 +167,7 @@ def forecast(
         controls: held for a control period each, (n, steps, nu).
         period: of control, s.
     """
-    n, steps, nu = controls.shape
+    n, steps, _ = controls.shape
     each = round(period / model.opt.timestep)
     if not 1 <= max(each, 1) <= MOST_PHYSICS_STEPS * max(1.0, 0.002 / model.opt.timestep):
         return np.full(qvel.shape, np.nan)
@@ -174,8 +175,8 @@ def forecast(
     start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
     start[:, 1 : 1 + model.nq] = qpos
     start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
-    if model.na and nu == model.na:
-        start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
+    if model.na:
+        start[:, 1 + model.nq + model.nv :][:, : model.na] = first_activations(model, qpos, controls[:, 0])
     with other_timestep(model, period / each), silence_mujoco():
         states, _ = rollout.rollout(model, data, start, np.repeat(controls, each, 1), nstep=steps * each)
     return states[:, -1, 1 + model.nq : 1 + model.nq + model.nv]

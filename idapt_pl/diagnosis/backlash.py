@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.joints import PLAY_SUFFIX
+from idapt_pl.effects.base import PLAY_SUFFIX
 
 
 class BacklashCoordinates:
@@ -15,7 +15,7 @@ class BacklashCoordinates:
 
     Args:
         measured: the nominal model.
-        simulated: the same with some joints behind others, named by :data:`~idapt_pl.effects.joints.PLAY_SUFFIX`.
+        simulated: the same with some joints behind others, named by :data:`~idapt_pl.effects.base.PLAY_SUFFIX`.
     """
 
     def __init__(self, measured: mujoco.MjModel, simulated: mujoco.MjModel) -> None:

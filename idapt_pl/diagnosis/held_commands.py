@@ -24,10 +24,11 @@ class HeldCommands:
     Args:
         model: the nominal one.
         data: the recordings.
+        own: what the model's actuators do to commands themselves, after all other effects.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: Sequence[Recording]) -> None:
-        self.model, self.data = model, data
+    def __init__(self, model: mujoco.MjModel, data: Sequence[Recording], own: Sequence[CommandEffect] = ()) -> None:
+        self.model, self.data, self.own = model, data, tuple(own)
         self._kept = RecentArrays[np.ndarray](KEPT_COMMANDS)
 
     def averaged(self, effects: Sequence[Effect], windows: Windows, steps: int, h: float) -> np.ndarray:
@@ -55,8 +56,9 @@ class HeldCommands:
         for e in np.unique(windows.episode) if columns else ():
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions[:, columns])
-            for effect in effects:
-                command = effect.transform(command, [columns.index(i) for i in effect.columns(self.model)], h)
+            for effect in (*effects, *self.own):
+                of = [columns.index(i) for i in effect.columns(self.model) if i in columns]
+                command = effect.transform(command, of, h) if of else command
             at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)
             out[rows] = mean_between(command, at)
         return out

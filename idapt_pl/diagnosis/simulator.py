@@ -12,14 +12,15 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from idapt_pl.diagnosis.activations import FirstActivations
 from idapt_pl.diagnosis.backlash import BacklashCoordinates
 from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.diagnosis.held_commands import HeldCommands
 from idapt_pl.diagnosis.law_history import LawsInWindows
 from idapt_pl.diagnosis.recent import RecentArrays
-from idapt_pl.effects.base import Effect
-from idapt_pl.effects.joints import PLAY_SUFFIX
+from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import SignalForce
+from idapt_pl.effects.own_signals import take_signals
 from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.effects.world import ExternalForce
 
@@ -64,7 +65,8 @@ def silence_mujoco() -> Iterator[None]:
 class Simulator:
     """Replays windows from their first measured state.
 
-    Predictions are read off at the samples' own times. What is asked for again is not simulated again.
+    Delays and filters of the model's own actuators act on the commands, as found ones do. Predictions are read off at
+    the samples' own times. What is asked for again is not simulated again.
 
     Args:
         spec: the nominal model.
@@ -80,7 +82,8 @@ class Simulator:
         unmeasured: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.spec, self.velocities = spec, velocities
-        self.model = spec.copy().compile()
+        self._plain, self.own = take_signals(spec)
+        self.model = self._plain.copy().compile()
         self.threads = threads or os.cpu_count() or 1
         self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
@@ -96,7 +99,8 @@ class Simulator:
 
     def _record(self, data: list[Recording]) -> None:
         """Recordings, and what is kept of them."""
-        self.data, self.commands = data, HeldCommands(self.model, data)
+        self.data, self.commands = data, HeldCommands(self.model, data, self.own)
+        self.activations = FirstActivations(self.model, data)
         self._samples = RecentArrays[np.ndarray](KEPT_SAMPLES)
         self._predictions = RecentArrays[Motion](KEPT_PREDICTIONS)
 
@@ -116,8 +120,8 @@ class Simulator:
         return self._ready(effects)[0]
 
     def spec_with(self, effects: Sequence[Effect]) -> mujoco.MjSpec:
-        """A copy of the spec with those effects that MJCF can say."""
-        spec = self.spec.copy()
+        """A copy of the model, without delays and filters of its own, with those effects that MJCF can say."""
+        spec = self._plain.copy()
         for effect in effects:
             if not acts_outside_model(effect):
                 effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
@@ -312,8 +316,8 @@ class Simulator:
         start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
         start[:, 0], start[:, 1 : 1 + model.nq] = time, qpos
         start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
-        if model.na and controls.shape[2] == model.na:
-            start[:, 1 + model.nq + model.nv :][:, : model.na] = controls[:, 0]
+        if model.na:
+            start[:, 1 + model.nq + model.nv :][:, : model.na] = self.activations.at(controls[:, 0], windows)
         forces = [e for e in effects if isinstance(e, ForceEffect)]
         pushed = np.zeros((n, steps, model.nv + 6 * model.nbody))
         if push is not None:

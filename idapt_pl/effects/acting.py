@@ -9,8 +9,7 @@ from weakref import WeakKeyDictionary
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import ACTUATED, Effect
-from idapt_pl.effects.joints import PLAY_SUFFIX
+from idapt_pl.effects.base import ACTUATED, PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import JointSignals, SignalForce
 from idapt_pl.effects.runtime import ForceEffect
 

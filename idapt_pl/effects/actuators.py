@@ -19,10 +19,16 @@ def dc_motors(model: mujoco.MjModel) -> list[int]:
     return [i for i in range(model.nu) if model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR]
 
 
+def linear_actuators(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the actuators whose force is linear in command, position and velocity: no ``dcmotor``, no muscle."""
+    gains = np.isin(model.actuator_gaintype, [int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)])
+    biases = np.isin(model.actuator_biastype, [int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)])
+    return np.flatnonzero(gains & biases).tolist()
+
+
 def servos(model: mujoco.MjModel) -> list[int]:
     """Numbers of the actuators whose force depends on the position."""
-    motors = dc_motors(model)
-    return [i for i in range(model.nu) if i not in motors and model.actuator_biasprm[i, 1]]
+    return [i for i in linear_actuators(model) if model.actuator_biasprm[i, 1]]
 
 
 @dataclass(frozen=True)
@@ -41,15 +47,21 @@ class ActuatorGain(Effect):
         for actuator in find_elements(spec, "actuators", self.target):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
                 actuator.gainprm[0] /= max(self.gain, 1e-6)
+            elif actuator.gaintype == mujoco.mjtGain.mjGAIN_MUSCLE:
+                actuator.gainprm[PEAK_FORCE] *= self.gain
+                actuator.biasprm[PEAK_FORCE] *= self.gain
             else:
                 actuator.gainprm[0] *= self.gain
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        motors = dc_motors(model)
-        names = [name for i, name in named_actuators(model) if i not in motors]
+        linear = linear_actuators(model)
+        names = [name for i, name in named_actuators(model) if i in linear]
         return with_shared([Candidate(cls, name, ("gain",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
 
+
+PEAK_FORCE = 2
+"""Where in ``gainprm`` and ``biasprm`` a muscle has its force."""
 
 RESISTANCE, TORQUE_CONSTANT, PROPORTIONAL = 0, 1, 4
 """Where in ``gainprm`` a ``dcmotor`` has its resistance, torque constant and the gain of its position loop."""
@@ -113,6 +125,8 @@ class ActuatorKp(Effect):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
                 actuator.gainprm[PROPORTIONAL] *= self.factor
                 continue
+            if self.target == "*" and not actuator.biasprm[1]:
+                continue  # of all servos, and this is a motor
             actuator.gainprm[0] *= self.factor
             actuator.biasprm[0] *= self.factor
             actuator.biasprm[1] *= self.factor
@@ -136,17 +150,20 @@ class ActuatorKv(Effect):
         for actuator in find_elements(spec, "actuators", self.target):
             if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
                 continue  # its biasprm are other things, and its back-EMF follows from its constants
+            on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+            if self.target == "*" and on_joint and not actuator.biasprm[2]:
+                continue  # as in candidates: it has no feedback that could be another one
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             actuator.biasprm[2] = -self.kv
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        singles, motors = [], dc_motors(model)
-        for i in range(model.nu):
+        singles = []
+        for i in linear_actuators(model):
             # where a joint is driven, this is its damping by another name; but only feedback can be taken away
             on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-            if i in motors or (on_joint and model.actuator_biasprm[i, 2] >= 0):
+            if on_joint and model.actuator_biasprm[i, 2] >= 0:
                 continue
             kv = max(0.0, -float(model.actuator_biasprm[i, 2]))
             singles.append(Candidate(cls, model.actuator(i).name, ("kv",), (kv,), (kv or 0.1,), scaled_starts(kv)))
@@ -170,7 +187,7 @@ class ActuatorBias(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+            if actuator.gaintype in (mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_MUSCLE):
                 continue  # its biasprm are other things: MJCF has no words for it
             if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -244,6 +261,12 @@ class ActuatorRotation(CommandEffect):
         return [Candidate(cls, pair, ("angle",), (0.0,), (0.3,), starts=((1.57,),)) for pair in pairs]
 
 
+def narrowed(limited: int, own: np.ndarray, limit: float) -> tuple[float, float]:
+    """Plus and minus a limit, inside a range that there is already, if there is (mjLIMITED_FALSE is 0)."""
+    low, high = (-limit, limit) if not limited or own[0] >= own[1] else np.clip(own, -limit, limit)
+    return float(low), float(high)
+
+
 @dataclass(frozen=True)
 class ActuatorSaturation(CommandEffect):
     """Commands are cut off at plus and minus the limit, and the force (before the gear) at plus and minus its own.
@@ -265,13 +288,15 @@ class ActuatorSaturation(CommandEffect):
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            actuator.forcelimited, actuator.forcerange = True, (-self.force, self.force)
+            actuator.forcerange = narrowed(actuator.forcelimited, actuator.forcerange, self.force)
+            actuator.forcelimited = True
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         if self.constrains:
             self.constrain(spec)
         for actuator in find_elements(spec, "actuators", self.target) if self.limit < UNLIMITED else ():
-            actuator.ctrllimited, actuator.ctrlrange = True, (-self.limit, self.limit)
+            actuator.ctrlrange = narrowed(actuator.ctrllimited, actuator.ctrlrange, self.limit)
+            actuator.ctrllimited = True
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:

@@ -133,6 +133,9 @@ def find_elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
     return found
 
 
+PLAY_SUFFIX = " play"
+"""What the name of a joint behind another one, which is its play, ends in; to other effects it is none."""
+
 ACTUATED = "actuated"
 """The target of effects on all joints that an actuator acts on: motors and gears, not the joints of a free base."""
 
@@ -145,7 +148,8 @@ def find_joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
     """
     names = [j.name for j in spec.joints]
     if target != ACTUATED or ACTUATED in names:
-        return find_elements(spec, "joints", target)
+        found = find_elements(spec, "joints", target)
+        return [j for j in found if target != "*" or not j.name.endswith(PLAY_SUFFIX)]
     on_joints = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
     found = [j for j in spec.joints if j.name in on_joints]
     if not found:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import Effect, find_elements, find_joints, parameter
+from idapt_pl.effects.base import PLAY_SUFFIX, Effect, find_elements, find_joints, parameter
 from idapt_pl.effects.candidate import (
     Candidate,
     TypicalSizes,
@@ -152,10 +152,6 @@ class JointDrag(JointEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         scale = typical.inertia / typical.horizon / typical.speed
         return one_per_joint(cls, "drag", model, np.zeros(model.nv), scale)
-
-
-PLAY_SUFFIX = " play"
-"""What the name of a joint behind another one, which is its play, ends in."""
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,16 @@ from idapt_pl.effects.base import find_elements, parameter
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, mechanical_joints, named_actuators, with_shared
 from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
 
+FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+"""Dynamics of actuators that are a first-order lag."""
+
 
 @dataclass(frozen=True)
 class ActuatorDelay(CommandEffect):
-    """A pure delay of the command. What held before a recording began is taken to be its first command."""
+    """A pure delay of the command, on top of the model's own.
+
+    What held before a recording began is taken to be its first command.
+    """
 
     name: ClassVar[str] = "actuator_delay"
     phrase: ClassVar[str] = "delay of actuator"
@@ -27,8 +33,8 @@ class ActuatorDelay(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            actuator.delay = self.delay
-            actuator.nsample = int(np.ceil(self.delay / spec.option.timestep)) + 1
+            actuator.delay += self.delay
+            actuator.nsample = int(np.ceil(actuator.delay / spec.option.timestep)) + 1
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
@@ -64,8 +70,9 @@ class ActuatorLag(CommandEffect):
     """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
 
     A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
-    from the filter's state before, in the middle of or after it. A ``dcmotor`` has dynamics of its own, so MJCF has no
-    words for a lag in front of one: ``apply`` leaves it as it is.
+    from the filter's state before, in the middle of or after it. Two lags in a row are nearly one of their sum, which
+    ``apply`` writes. An actuator with other dynamics of its own (``dcmotor``, an integrator, a muscle) stays as it is:
+    MJCF has no words for a lag in front of one.
     """
 
     name: ClassVar[str] = "actuator_lag"
@@ -90,10 +97,12 @@ class ActuatorLag(CommandEffect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            if actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR:
+            if actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE:
+                actuator.dyntype, actuator.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, self.time_constant
+            elif actuator.dyntype in FILTERS:
+                actuator.dynprm[0] += self.time_constant
+            else:
                 continue
-            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-            actuator.dynprm[0] = self.time_constant
             if self.dead_time >= spec.option.timestep:
                 ActuatorDelay(actuator.name, self.dead_time).apply(spec)
 
