@@ -21,6 +21,7 @@ from idapt_pl.diagnosis.change_statistics import (
     time_shapes,
 )
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted
 from idapt_pl.diagnosis.search_windows import affordable_windows
 from idapt_pl.diagnosis.simulator import Effects
@@ -154,6 +155,7 @@ def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeRepo
         more, rival, rest = rival_change(context, state, at, found[0], shapes, clusters)
         tested += more
         if rival is not None:
+            rest = measure_intervals(context, rest)  # the others were fitted anew
             return ChangeReport(tested, [simulated(context, rest, at, rival)]), rest
     if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.finding.removed_share for f in found[:1]) < MOST_OF_REST:
         others = other_candidates(context, state, at.order, z)

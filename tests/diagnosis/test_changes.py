@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from idapt_pl.diagnosis import changes
 from idapt_pl.diagnosis.change_statistics import WindowTimes, constancy_test, scores_of, time_shapes
 from idapt_pl.diagnosis.changes import find_changes
 from idapt_pl.diagnosis.prepare import begin_search
@@ -89,3 +90,23 @@ def test_a_constant_that_stood_in_for_what_changes_goes_again():
     report, left = find_changes(context, refit_accepted(context, wrong))
     assert [(f.effect, f.kind) for f in report.found] == [("joint_damping", "step_over")]
     assert not left.accepted and report.tested == 3
+
+
+def test_what_is_left_beside_a_rival_is_measured_anew(monkeypatch):
+    names = ["joint_damping", "joint_drag", "joint_armature"]
+    context, state = begin_search(*recordings(0.05, 0.3), candidates=names, threads=1)
+    of = {c.kind.name: c for c in context.candidates}
+
+    def stale(name, interval=None):
+        return AcceptedEffect(0, of[name], np.array(of[name].nominal), interval)
+
+    rival_change = changes.rival_change
+
+    def with_another(*args):
+        tested, rival, rest = rival_change(*args)
+        return tested, rival, replace(rest, accepted=(*rest.accepted, stale("joint_armature", np.array([[7.0, 8.0]]))))
+
+    monkeypatch.setattr(changes, "rival_change", with_another)
+    _, left = find_changes(context, refit_accepted(context, replace(state, accepted=(stale("joint_drag"),))))
+    (other,) = left.accepted
+    assert other.interval[0, 0] <= other.x[0] <= other.interval[0, 1] < 1
