@@ -69,7 +69,7 @@ def with_probabilities(
     """Explanations with how probable they are."""
     p = probabilities(
         [e.losses for e in explanations],
-        int(context.sim.compared.sum()) * len(state.windows.held_out.windows.offsets),
+        state.windows.held_out.W.shape[1],
         [sum(len(x.free) for x in e.value.effects) for e in explanations],
         [sum(x.effect.name in RARITY for x in e.value.effects) for e in explanations],
         context.seed,

@@ -11,7 +11,8 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from idapt_pl.diagnosis.candidate_fit import effects_of, split_parameters
-from idapt_pl.diagnosis.data import sample_windows
+from idapt_pl.diagnosis.data import Windows, sample_windows
+from idapt_pl.diagnosis.force_windows import judged_by_forces
 from idapt_pl.diagnosis.measurement import with_interval
 from idapt_pl.diagnosis.result import ParameterEstimate
 from idapt_pl.diagnosis.search import Diagnosis
@@ -65,19 +66,22 @@ def compare_sets(diagnosis: Diagnosis, sets: Sequence[RecordingSet]) -> SetCompa
     left = np.array([r.own for r in results])
     unlike = [r.recordings.name for r in results if r.own > MUCH_MORE * max(float(np.median(left)), 1.0)]
     return SetComparison(
-        results, tuple(changed_values(diagnosis, fits)), tuple(unlike), tuple(diagnosis.result.effects)
+        results,
+        tuple(changed_values(diagnosis, fits)),
+        tuple(unlike),
+        tuple(diagnosis.result.effects),
+        diagnosis.result.error.yardstick,
     )
 
 
 def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
     """The common answer's effects, fitted to one file."""
     context, state = diagnosis.context, diagnosis.state
-    sim, noise = context.sim, state.windows.noise
+    sim = context.sim
     windows = sample_windows(sim.data, np.array(recordings.episodes), context.steps, 5, MOST_WINDOWS, context.seed)
     if not len(windows):
         raise ValueError(f"{recordings.name}: no episode is as long as a window of {context.steps} control steps")
-    at = initial_sensitivity(sim, state.effects, windows, noise.start)
-    split = WhitenedWindows(windows, whitener(at, noise, sim.compared))
+    split = judged_alike(diagnosis, windows)
 
     def error(effects: tuple) -> float:
         return round(float(np.sqrt(context.loss(split, effects).mean())), 4)
@@ -87,7 +91,7 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
         return OwnFit(np.zeros(0), np.zeros(0), SetResult(recordings, before, common, common, {}))
     fit = context.fit(split, state.fixed, state.candidates, state.estimates, 8, exact=True)
     own = error((*state.fixed, *effects_of(state.candidates, fit.x)))
-    clusters = clusters_of(windows.episode, windows.start)
+    clusters = clusters_of(split.windows.episode, split.windows.start)
     V = covariance(fit.solution, clusters)
     scale = np.concatenate([c.scale for c in state.candidates])
     half = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0)) * scale
@@ -102,6 +106,15 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
                 unit_at(sim.model, c.target, unit),
             )  # fmt: skip
     return OwnFit(np.concatenate(fit.x), half, SetResult(recordings, before, common, own, values))
+
+
+def judged_alike(diagnosis: Diagnosis, windows: Windows) -> WhitenedWindows:
+    """Windows of a file, judged as the search judged its own: by forces, or by forecasts and the noise of sensors."""
+    sim, effects, noise = diagnosis.sim, diagnosis.effects, diagnosis.state.windows.noise
+    if noise.forces is not None:
+        return judged_by_forces(windows, noise.forces)
+    at = initial_sensitivity(sim, effects, windows, noise.start)
+    return WhitenedWindows(windows, whitener(at, noise, sim.compared))
 
 
 def changed_values(diagnosis: Diagnosis, fits: Sequence[OwnFit]) -> list[ChangedValue]:

@@ -19,7 +19,7 @@ class SetResult:
 
     Attributes:
         recordings: which.
-        before: error of the model as it was given, in standard deviations of the noise, on all its episodes.
+        before: error of the model as it was given, in units of the diagnosis, on all its episodes.
         common: with the common answer.
         own: with the same effects, their values fitted to this file alone.
         values: these values.
@@ -75,12 +75,14 @@ class SetComparison:
         changed: values that differ between them, the surest first.
         unlike: files in which much more is left than in the others: something else differs there.
         effects: of the common answer.
+        yardstick: what errors are in units of, in words.
     """
 
     sets: tuple[SetResult, ...]
     changed: tuple[ChangedValue, ...]
     unlike: tuple[str, ...]
     effects: tuple[EffectEstimate, ...]
+    yardstick: str
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``, beside the rest."""

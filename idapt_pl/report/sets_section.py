@@ -36,8 +36,8 @@ def comparison_sentences(comparison: SetComparison) -> list[str]:
     for r in comparison.sets:
         if r.recordings.name in comparison.unlike:
             made.append(
-                f"In {r.recordings.name} an error of {format_number(r.own)} times the noise is left, more than in the "
-                "others: something else differs there; diagnose it alone."
+                f"In {r.recordings.name} an error of {format_number(r.own)} times {comparison.yardstick} is left, more "
+                "than in the others: something else differs there; diagnose it alone."
             )
     return made
 
@@ -48,8 +48,8 @@ def common_is_worse(comparison: SetComparison) -> str:
     if worst.common < COMMON_IS_WORSE * worst.own or not comparison.changed:
         return ""
     return (
-        f"One value for all files leaves {format_number(worst.common)} times the noise in {worst.recordings.name}, its "
-        f"own {format_number(worst.own)}: take each file's own values."
+        f"One value for all files leaves {format_number(worst.common)} times {comparison.yardstick} in "
+        f"{worst.recordings.name}, its own {format_number(worst.own)}: take each file's own values."
     )
 
 
@@ -95,8 +95,8 @@ def comparison_section(comparison: SetComparison | None) -> str:
     heads = set_heads(comparison)
     rows = [row(*(c if i < 2 else f"#{c}" for i, c in enumerate(set_cells(r, comparison)))) for r in comparison.sets]
     caption = (
-        "Errors in standard deviations of the noise, on all episodes of a file: before, with the common answer, and "
-        "with the same effects fitted to the file alone. Values are these own ones, with 95 % intervals."
+        f"Errors in standard deviations of {comparison.yardstick}, on all episodes of a file: before, with the common "
+        "answer, and with the same effects fitted to the file alone. Values are these own ones, with 95 % intervals."
     )
     parts = [*map(paragraph, comparison_sentences(comparison))]
     parts.append(table([h if i < 2 else f"#{h}" for i, h in enumerate(heads)], rows))

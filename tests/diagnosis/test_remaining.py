@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
-from idapt_pl.diagnosis.remaining import JudgedExplanation, with_alternative
+from idapt_pl.diagnosis.force_windows import judged_by_forces
+from idapt_pl.diagnosis.probabilities import probabilities
+from idapt_pl.diagnosis.remaining import JudgedExplanation, with_alternative, with_probabilities
 from idapt_pl.diagnosis.result import Alternative
 from idapt_pl.effects.actuators import MotorResistance
 from idapt_pl.effects.candidate import Candidate
@@ -45,3 +48,15 @@ def test_a_gain_takes_the_place_of_a_resistance_with_one_over_its_number():
     assert same.effects[0] is DAMPING and same.effects[1].effect.gain == 0.625
     nominal, scale = same.effects[1].free["gain"]
     assert (nominal, scale) == pytest.approx((1.0, 0.2 * 0.625**2))
+
+
+def test_evidence_of_forces_counts_once_for_each_degree_of_freedom():
+    """Forecasts are compared in positions and velocities, twice as many."""
+    split = judged_by_forces(Windows(np.zeros(2, int), np.array([0, 5]), np.array([5])), np.ones(3))
+    losses = [np.ones(len(split.windows)), np.full(len(split.windows), 1.2)]
+    told = [JudgedExplanation(Explanation(Standing.FOUND, "", (DAMPING,), 1.0, 0.0), x) for x in losses]
+    context = SimpleNamespace(seed=0, sim=SimpleNamespace(compared=np.ones(6, bool)))
+    state = SimpleNamespace(windows=SimpleNamespace(held_out=split))
+    p = [e.probability for e in with_probabilities(context, state, told)]
+    assert p == pytest.approx(probabilities(losses, 3, [1, 1], [0, 0]), abs=1e-4)
+    assert p != pytest.approx(probabilities(losses, 6, [1, 1], [0, 0]), abs=0.01)

@@ -14,11 +14,13 @@ from cli.main import main
 from datamodules import write_trajectories
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.estimation.intervals import clusters_of
-from idapt_pl.recording_sets import compare_sets, join_recordings
+from idapt_pl.recording_sets import RecordingSet, compare_sets, join_recordings
 from idapt_pl.report.sets_section import comparison_section, comparison_sentences
 
 sys.path.insert(0, str(ROOT / "tests" / "report"))
+sys.path.insert(0, str(ROOT / "tests" / "diagnosis"))
 from test_diagnosis_report import MOTOR, NOMINAL, SWING, record
+from test_unexplained_forces import QUICK, recorded, spec_of
 
 
 def joined(*dampings):
@@ -55,6 +57,20 @@ def test_the_comparison_in_words_and_on_the_page(comparisons):
     assert "take each file's own values" in comparison_sentences(risen)[1]
     page = comparison_section(risen)
     assert page.count("<svg") == 1 and "File by file" in page and comparison_section(None) == ""
+
+
+def test_files_are_judged_by_forces_where_the_search_was():
+    """A file of the held-out episode alone has the errors of the report."""
+    out = diagnose(spec_of(), recorded(), threads=1, settings=QUICK, candidates=["joint_damping"])
+    assert out.by_forces and out.result.error.held_out_episodes == [3]
+    comparison = compare_sets(out, [RecordingSet("fitted", 0, 3), RecordingSet("held out", 3, 4)])
+    fitted, held_out = comparison.sets
+    assert (held_out.before, held_out.common) == (out.result.error.before, out.result.error.after)
+    found = {(*e.key, "damping"): e.parameters["damping"] for e in out.result.effects}
+    assert found.keys() == fitted.values.keys()
+    for name, p in found.items():
+        assert p.ci95[0] < fitted.values[name].estimate < p.ci95[1]
+    assert "deviations of the force that nothing explains" in comparison_section(comparison)
 
 
 def test_windows_of_few_episodes_are_clustered_by_parts_of_them():
