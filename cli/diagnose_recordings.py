@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import mujoco
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -34,6 +35,7 @@ from idapt_pl.report.stretch_section import stretch_sentences
 from idapt_pl.robot_files import parse_actuators, read_robot
 from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
 from idapt_pl.stretches.conditions import BadCondition
+from idapt_pl.stretches.stretch import marked_steps
 
 
 def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
@@ -110,11 +112,18 @@ PARTS = 4
 
 
 def more_than_one(data: Trajectories) -> Trajectories:
-    """Recordings of several episodes; a single one that is long enough is cut in time, and the user told where."""
-    if len(data) != 1 or len(data.episodes[0]) < 20 * PARTS:
+    """Recordings of several episodes; a single one is cut in time, if enough of it is kept, and the user told where.
+
+    What is kept is shared out equally: else all of it may lie in one part.
+    """
+    if len(data) != 1:
         return data
-    parts = cut_in_time(data, PARTS)
-    seconds = " s, ".join(f"{k} from {time_of(data, k * len(data.episodes[0]) // PARTS):.4g}" for k in range(PARTS))
+    kept = np.flatnonzero(~marked_steps(data.episodes[0]))
+    if len(kept) < 20 * PARTS:
+        return data
+    edges = [0, *(int(kept[k * len(kept) // PARTS]) for k in range(1, PARTS)), len(data.episodes[0])]
+    parts = cut_in_time(data, edges)
+    seconds = " s, ".join(f"{k} from {time_of(data, first):.4g}" for k, first in enumerate(edges[:-1]))
     text = f"one episode: cut in time into {PARTS}, as some must be held out: episode {seconds} s on"
     Console().print(text, soft_wrap=True, highlight=False)
     return parts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -111,13 +111,10 @@ class Trajectories:
         return Trajectories(self.episodes + other.episodes, self.dt, self.source)
 
 
-def cut_in_time(trajectories: Trajectories, parts: int) -> Trajectories:
-    """Each episode as so many of about equal length; they share the observation where they meet."""
-    episodes = []
-    for episode in trajectories:
-        edges = np.linspace(0, len(episode), parts + 1).round().astype(int)
-        episodes += [episode.part(a, b) for a, b in pairwise(edges)]
-    return Trajectories(tuple(episodes), trajectories.dt, trajectories.source)
+def cut_in_time(trajectories: Trajectories, edges: Sequence[int]) -> Trajectories:
+    """Each episode as several, from control step to control step; they share the observation where they meet."""
+    parts = tuple(episode.part(a, b) for episode in trajectories for a, b in pairwise(edges))
+    return Trajectories(parts, trajectories.dt, trajectories.source)
 
 
 def content_hash(episodes: Iterable[Episode]) -> str:

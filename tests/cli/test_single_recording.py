@@ -25,7 +25,7 @@ def test_parts_share_the_observation_where_they_meet():
         np.arange(20, dtype=np.float32).reshape(10, 2), {"qpos": np.arange(11.0)[:, None]}, timestamps=time,
         infos={"left_out": marks, "room": np.arange(11), "name": np.arange(3)},
     )  # fmt: skip
-    parts = cut_in_time(Trajectories((episode,), 0.1), 3).episodes
+    parts = cut_in_time(Trajectories((episode,), 0.1), [0, 3, 7, 10]).episodes
     assert [len(p) for p in parts] == [3, 4, 3]
     assert np.array_equal(np.concatenate([p.actions for p in parts]), episode.actions)
     assert [p.observations["qpos"][0, 0] for p in parts] == [0, 3, 7]
@@ -44,6 +44,19 @@ def test_one_recording_is_diagnosed_and_the_user_told_where_it_was_cut(tmp_path,
     report = json.loads((tmp_path / "d/report.json").read_text())
     (found,) = report["effects"]
     assert found["parameters"]["damping"]["estimate"] == pytest.approx(0.07, rel=0.1)
+    assert len(report["error"]["fit_episodes"]) == 3 and len(report["error"]["held_out_episodes"]) == 1
+
+
+def test_what_is_kept_of_one_recording_is_cut(tmp_path, capsys):
+    """Of the whole in four parts, three would be left out."""
+    (tmp_path / "m.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
+    write_trajectories(tmp_path / "one.h5", record(0.07, episodes=1, steps=800))
+    arguments = ["--model", tmp_path / "m.xml", "--data", tmp_path / "one.h5", "--out", tmp_path / "d"]
+    more = ["--candidates", "joint_damping", "--threads", "1", "--only", "0.5 < time < 4"]
+    assert main(["diagnose", *map(str, arguments), *more]) == 0
+    assert "episode 0 from 0 s, 1 from 1.38 s, 2 from 2.24 s, 3 from 3.1 s on" in capsys.readouterr().out
+    report = json.loads((tmp_path / "d/report.json").read_text())
+    assert report["effects"][0]["parameters"]["damping"]["estimate"] == pytest.approx(0.07, rel=0.1)
     assert len(report["error"]["fit_episodes"]) == 3 and len(report["error"]["held_out_episodes"]) == 1
 
 
