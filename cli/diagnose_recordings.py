@@ -34,7 +34,7 @@ from idapt_pl.report.sets_section import comparison_sentences, set_cells, set_he
 from idapt_pl.report.stretch_section import stretch_sentences
 from idapt_pl.robot_files import parse_actuators, read_robot
 from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
-from idapt_pl.stretches.conditions import BadCondition
+from idapt_pl.stretches.conditions import BadCondition, idle_conditions
 from idapt_pl.stretches.stretch import marked_steps
 
 
@@ -52,7 +52,7 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
     for note in robot.notes:
         Console().print(escape(f"{o.model.name}: {note}"), soft_wrap=True, highlight=False)
     declared = read_effects(o.effects, model) if o.effects else ()
-    each = [read_recordings(path, o) for path in o.data]
+    each = read_recordings(o)
     ask_for_actuators(o, model, each)
     joined, named = join_recordings(o.data, each)
     names = [s.name for s in named]
@@ -151,17 +151,21 @@ def ask_for_actuators(o: argparse.Namespace, model: mujoco.MjSpec, each: Sequenc
         )
 
 
-def read_recordings(path: Path, o: argparse.Namespace) -> Trajectories:
-    """A file, with what is to be left out marked.
+def read_recordings(o: argparse.Namespace) -> list[Trajectories]:
+    """The files, with what is to be left out marked; the user is told of conditions that leave nothing out.
 
     Raises:
-        ValueError: naming the file, where a condition does not fit it.
+        ValueError: the files do not go together, or a condition does not fit them.
     """
-    data = read_trajectories(path)
+    each = [read_trajectories(path) for path in o.data]
+    data, sets = join_recordings(o.data, each)
     try:
-        return mark_by_conditions(data, o.only, o.without)
+        marked = mark_by_conditions(data, o.only, o.without)
     except BadCondition as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
+    for sentence in idle_conditions(data, o.only, o.without):
+        Console().print(escape(sentence), soft_wrap=True, highlight=False)
+    return [replace(d, episodes=marked.episodes[s.first : s.last]) for d, s in zip(each, sets, strict=True)]
 
 
 def conditions_of(o: argparse.Namespace) -> tuple[str, ...]:

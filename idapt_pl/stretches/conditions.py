@@ -200,6 +200,16 @@ def mark_by_conditions(data: Trajectories, only: Sequence[str] = (), without: Se
     return replace(data, episodes=tuple(episodes))
 
 
+def idle_conditions(data: Trajectories, only: Sequence[str] = (), without: Sequence[str] = ()) -> list[str]:
+    """Conditions that leave nothing out of the recordings, a sentence each."""
+    options = [("only", c, True) for c in only] + [("without", c, False) for c in without]
+    return [
+        f"--{option} {c!r} leaves nothing out; {values_taken(data, [c])}"
+        for option, c, holds in options
+        if all(kept_steps(c, i, e, data.dt, holds).all() for i, e in enumerate(data))
+    ]
+
+
 def values_taken(data: Trajectories, conditions: Sequence[str]) -> str:
     """Which values the channels take that conditions name, in words."""
     told = []

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from cli.diagnose import command_line
+from cli.diagnose_recordings import read_recordings
 from cli.main import main
 from datamodules import write_trajectories
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.estimation.intervals import clusters_of
 from idapt_pl.recording_sets import RecordingSet, compare_sets, join_recordings
 from idapt_pl.report.sets_section import comparison_section, comparison_sentences
+from idapt_pl.stretches.stretch import marked_steps
 
 sys.path.insert(0, str(ROOT / "tests" / "report"))
 sys.path.insert(0, str(ROOT / "tests" / "diagnosis"))
@@ -88,13 +91,18 @@ def test_files_that_do_not_go_together_are_refused():
         join_recordings([Path("a.h5"), Path("a.h5")], [a, b])
 
 
-def test_the_command_takes_several_files_and_conditions(tmp_path, capsys):
+def two_files(tmp_path):
+    """Options of the command for the recordings old.h5 and new.h5, of three episodes each."""
     (tmp_path / "nominal.xml").write_text(SWING.format(damping=NOMINAL, actuator=MOTOR))
     for name, damping in (("old", 0.05), ("new", 0.08)):
         write_trajectories(tmp_path / f"{name}.h5", record(damping, episodes=3))
     files = [str(tmp_path / f"{n}.h5") for n in ("old", "new")]
-    args = ["diagnose", "--model", str(tmp_path / "nominal.xml"), "--data", *files, "--out", str(tmp_path / "out")]
-    assert main([*args, "--candidates", "joint_damping", "--without", "time > 1.5", "--threads", "1"]) == 0
+    return ["--model", str(tmp_path / "nominal.xml"), "--data", *files, "--out", str(tmp_path / "out")]
+
+
+def test_the_command_takes_several_files_and_conditions(tmp_path, capsys):
+    args = two_files(tmp_path)
+    assert main(["diagnose", *args, "--candidates", "joint_damping", "--without", "time > 1.5", "--threads", "1"]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert [r["file"] for r in report["recordings"]] == ["old.h5", "new.h5"] and len(report["changed"]) == 1
     assert report["left_out"]["conditions"] == ["without time > 1.5"]
@@ -106,6 +114,15 @@ def test_the_command_takes_several_files_and_conditions(tmp_path, capsys):
     page = (tmp_path / "out" / "report.html").read_text()
     for words in ("In a minute", "File by file", "Left out", "Values to set", "What to do next", "next-joint_damping"):
         assert words in page, words
+
+
+def test_conditions_count_episodes_through_all_files(tmp_path, capsys):
+    args = two_files(tmp_path)
+    each = read_recordings(command_line().parse_args([*args, "--without", "episode == 4", "--without", "episode > 5"]))
+    assert [[bool(marked_steps(e).all()) for e in data] for data in each] == [[False] * 3, [False, True, False]]
+    assert capsys.readouterr().out == "--without 'episode > 5' leaves nothing out; episode is 0, 1, 2, 3, 4, 5\n"
+    old, new = read_recordings(command_line().parse_args([*args, "--only", "episode < 3"]))
+    assert not any(marked_steps(e).any() for e in old) and all(marked_steps(e).all() for e in new)
 
 
 @pytest.mark.parametrize(

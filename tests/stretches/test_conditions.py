@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.stretches.conditions import BadCondition, kept_steps, mark_by_conditions, parse_condition
+from idapt_pl.stretches.conditions import BadCondition, idle_conditions, kept_steps, mark_by_conditions, parse_condition
 from idapt_pl.stretches.stretch import marked_steps
 
 T, DT = 10, 0.5
@@ -83,3 +83,11 @@ def test_marks_of_both_options_add_up_and_nothing_left_is_an_error():
     assert [np.flatnonzero(~marked_steps(e)).tolist() for e in marked] == [[], list(range(8))]
     with pytest.raises(BadCondition, match="leave no control step; state is 1, 2, 3"):
         mark_by_conditions(data, ["state == 7"])
+
+
+def test_conditions_that_leave_nothing_out_are_told():
+    data = Trajectories((EPISODE, EPISODE), DT)
+    assert idle_conditions(data, ["state > 0", "state == 2"], ["episode == 4", "episode == 1"]) == [
+        "--only 'state > 0' leaves nothing out; state is 1, 2, 3",
+        "--without 'episode == 4' leaves nothing out; episode is 0, 1",
+    ]
