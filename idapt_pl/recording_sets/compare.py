@@ -57,17 +57,14 @@ def compare_sets(diagnosis: Diagnosis, sets: Sequence[RecordingSet]) -> SetCompa
     Args:
         diagnosis: of all recordings together.
         sets: the files.
-
-    Raises:
-        ValueError: no episode of a file is as long as a window.
     """
     fits = [fit_to_set(diagnosis, s) for s in sets]
     results = tuple(f.result for f in fits)
-    left = np.array([r.own for r in results])
+    left = [r.own for r in results if r.comparable]
     unlike = [r.recordings.name for r in results if r.own > MUCH_MORE * max(float(np.median(left)), 1.0)]
     return SetComparison(
         results,
-        tuple(changed_values(diagnosis, fits)),
+        tuple(changed_values(diagnosis, [f for f in fits if f.result.comparable])),
         tuple(unlike),
         tuple(diagnosis.result.effects),
         diagnosis.result.error.yardstick,
@@ -75,12 +72,12 @@ def compare_sets(diagnosis: Diagnosis, sets: Sequence[RecordingSet]) -> SetCompa
 
 
 def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
-    """The common answer's effects, fitted to one file."""
+    """The common answer's effects, fitted to one file; nothing where it has no window."""
     context, state = diagnosis.context, diagnosis.state
     sim = context.sim
     windows = sample_windows(sim.data, np.array(recordings.episodes), context.steps, 5, MOST_WINDOWS, context.seed)
     if not len(windows):
-        raise ValueError(f"{recordings.name}: no episode is as long as a window of {context.steps} control steps")
+        return OwnFit(np.zeros(0), np.zeros(0), SetResult(recordings, np.nan, np.nan, np.nan, {}))
     split = judged_alike(diagnosis, windows)
 
     def error(effects: tuple) -> float:

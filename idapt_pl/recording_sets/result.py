@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ SetValue = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class SetResult:
-    """One file.
+    """One file. Errors are NaN, and it has no values, where nothing of it is as long as a window.
 
     Attributes:
         recordings: which.
@@ -31,15 +32,21 @@ class SetResult:
     own: float
     values: Mapping[SetValue, ParameterEstimate]
 
+    @property
+    def comparable(self) -> bool:
+        """Whether there is anything of it to compare."""
+        return math.isfinite(self.own)
+
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
         effects: dict[tuple[str, str], dict[str, Any]] = {}
         for (effect, target, name), p in self.values.items():
             effects.setdefault((effect, target), {})[name] = p.to_dict()
+        errors = {"before": self.before, "common": self.common, "own": self.own}
         return {
             "file": self.recordings.name,
             "episodes": list(self.recordings.episodes),
-            "error": {"before": self.before, "common": self.common, "own": self.own},
+            "error": {name: value if self.comparable else None for name, value in errors.items()},
             "effects": [{"effect": e, "target": t, "parameters": p} for (e, t), p in effects.items()],
         }
 
@@ -83,6 +90,11 @@ class SetComparison:
     unlike: tuple[str, ...]
     effects: tuple[EffectEstimate, ...]
     yardstick: str
+
+    @property
+    def comparable(self) -> tuple[SetResult, ...]:
+        """Files of which there is anything to compare: one at least."""
+        return tuple(s for s in self.sets if s.comparable)
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``, beside the rest."""

@@ -76,9 +76,9 @@ class RecordingNotes:
             made.append(f"Deployment faults: {count}, {done}.")
         if self.stretches is not None and self.stretches.stretches:
             made.append(f"{100 * self.stretches.share:.2g} % were left out.")
-        if self.comparison is not None:
+        if self.comparison is not None and len(self.comparison.comparable) > 1:
             changed, unlike = len(self.comparison.changed), len(self.comparison.unlike)
-            made.append(f"Values that differ between the {len(self.comparison.sets)} files: {changed}.")
+            made.append(f"Values that differ between the {len(self.comparison.comparable)} files: {changed}.")
             made += [f"Files unlike the others: {unlike}."] * bool(unlike)
             made += [told] if (told := common_is_worse(self.comparison)) else []
         return made

@@ -19,18 +19,22 @@ COMMON_IS_WORSE = 1.3
 def name_of_value(value: SetValue, comparison: SetComparison) -> str:
     """A value in words: the effect, and the parameter where it has several."""
     effect, target, parameter = value
-    several = sum(v[:2] == (effect, target) for v in comparison.sets[0].values) > 1
+    several = sum(v[:2] == (effect, target) for v in comparison.comparable[0].values) > 1
     return phrase_at(effect, target) + (f" ({parameter})" if several else "")
 
 
 def comparison_sentences(comparison: SetComparison) -> list[str]:
     """What differs between the files, as sentences."""
-    files = len(comparison.sets)
+    compared = comparison.comparable
     made = [changed_sentence(c, comparison) for c in comparison.changed]
-    if not made and comparison.sets[0].values:
-        made.append(f"None of the values found differs surely between the {files} files.")
-    if not comparison.sets[0].values:
-        made.append(f"No effect was found in all {files} files together, so there are no values to compare.")
+    if not made and compared[0].values and len(compared) > 1:
+        made.append(f"None of the values found differs surely between the {len(compared)} files.")
+    if not compared[0].values:
+        made.append(
+            f"No effect was found in all {len(comparison.sets)} files together, so there are no values to compare."
+        )
+    if short := [r.recordings.name for r in comparison.sets if not r.comparable]:
+        made.append(f"Not compared, as no stretch that is used is as long as a forecast: {', '.join(short)}.")
     if told := common_is_worse(comparison):
         made.append(told)
     for r in comparison.sets:
@@ -44,7 +48,7 @@ def comparison_sentences(comparison: SetComparison) -> list[str]:
 
 def common_is_worse(comparison: SetComparison) -> str:
     """That one value for all files leaves more than each file's own, where it does; else empty."""
-    worst = max(comparison.sets, key=lambda r: r.common / max(r.own, 1e-9))
+    worst = max(comparison.comparable, key=lambda r: r.common / max(r.own, 1e-9))
     if worst.common < COMMON_IS_WORSE * worst.own or not comparison.changed:
         return ""
     return (
@@ -55,7 +59,7 @@ def common_is_worse(comparison: SetComparison) -> str:
 
 def changed_sentence(c: ChangedValue, comparison: SetComparison) -> str:
     """One value that differs, from the first file to the last where these differ most."""
-    by_file = {r.recordings.name: r.values[c.value] for r in comparison.sets}
+    by_file = {r.recordings.name: r.values[c.value] for r in comparison.comparable}
     order = [n for n in by_file if n in (c.lowest, c.highest)]
     told = [f"{value_in_words(by_file[n])} in {n}" for n in order]
     what = "rose" if order[0] == c.lowest else "fell"
@@ -73,15 +77,16 @@ def set_cells(r: SetResult, comparison: SetComparison) -> list[str]:
     episodes = r.recordings.episodes
     which = f"{episodes[0]} to {episodes[-1]}" if len(episodes) > 1 else f"{episodes[0]}"
     values = []
-    for p in r.values.values():
-        value, interval = format_estimate(p.estimate, p.ci95)
+    for name in comparison.comparable[0].values:
+        p = r.values.get(name)
+        value, interval = format_estimate(p.estimate, p.ci95) if p else ("-", "")
         values.append(f"{value} ({interval})" if interval else value)
     return [r.recordings.name, which, *(format_number(x) for x in (r.before, r.common, r.own)), *values]
 
 
 def set_heads(comparison: SetComparison) -> list[str]:
     """Heads of the table of files."""
-    values = comparison.sets[0].values
+    values = comparison.comparable[0].values
     named = [
         f"{name_of_value(v, comparison)}{f', {p.unit}' if p.unit not in ('', '1') else ''}" for v, p in values.items()
     ]
@@ -101,7 +106,7 @@ def comparison_section(comparison: SetComparison | None) -> str:
     parts = [*map(paragraph, comparison_sentences(comparison))]
     parts.append(table([h if i < 2 else f"#{h}" for i, h in enumerate(heads)], rows))
     parts.append(paragraph(caption, "small"))
-    if comparison.sets[0].values:
+    if comparison.comparable[0].values:
         drawn = f'<div class="wide">{styled_values_figure(comparison)}</div>'
         told = "Values by file, with 95 % intervals; the band is the common answer. Red: differs between files."
         parts.append(figure(drawn, told))
@@ -116,16 +121,17 @@ def styled_values_figure(comparison: SetComparison) -> str:
 
 def values_figure(comparison: SetComparison) -> Figure:
     """Every value over the files, and the common answer."""
-    values = list(comparison.sets[0].values)
+    files = comparison.comparable
+    values = list(files[0].values)
     common = {(*e.key, name): p for e in comparison.effects for name, p in e.parameters.items()}
     changed = {c.value for c in comparison.changed}
     columns = min(2, len(values))
     lines = -(-len(values) // columns)
     made = Figure(figsize=(8.6, 0.4 + 2.1 * lines), layout="constrained")
     axes = made.subplots(lines, columns, squeeze=False).ravel()
-    at = np.arange(len(comparison.sets))
+    at = np.arange(len(files))
     for axis, value in zip(axes, values, strict=False):
-        own = [r.values[value] for r in comparison.sets]
+        own = [r.values[value] for r in files]
         x = np.array([float(p.estimate) for p in own])
         ends = np.array([p.ci95 or (p.estimate, p.estimate) for p in own], float)
         band = common[value].ci95
@@ -134,7 +140,7 @@ def values_figure(comparison: SetComparison) -> Figure:
         colour = BEFORE if value in changed else AFTER
         axis.errorbar(at, x, yerr=np.abs(ends.T - x), fmt="o", color=colour, capsize=3, ms=5)
         axis.set_xlim(-0.5, len(at) - 0.5)
-        axis.set_xticks(at, [escape_mathtext(r.recordings.name) for r in comparison.sets], fontsize=8)
+        axis.set_xticks(at, [escape_mathtext(r.recordings.name) for r in files], fontsize=8)
         unit = f" ({own[0].unit})" if own[0].unit not in ("", "1") else ""
         axis.set_title(escape_mathtext(name_of_value(value, comparison) + unit), loc="left", fontsize=10)
     for axis in axes[len(values) :]:

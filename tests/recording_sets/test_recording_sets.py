@@ -125,6 +125,23 @@ def test_conditions_count_episodes_through_all_files(tmp_path, capsys):
     assert not any(marked_steps(e).any() for e in old) and all(marked_steps(e).all() for e in new)
 
 
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_file_of_fragments_has_a_row_without_values(tmp_path, capsys, alone):
+    """What was found is worth more than a comparison that cannot be made."""
+    args = two_files(tmp_path)
+    write_trajectories(tmp_path / "short.h5", record(0.05, episodes=2, steps=4))
+    args.insert(args.index("--out"), str(tmp_path / "short.h5"))
+    more = ["--only", "episode < 3"] if alone else []
+    assert main(["diagnose", *args, *more, "--candidates", "joint_damping", "--threads", "1"]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    _, new, short = report["recordings"]
+    assert short["error"] == {"before": None, "common": None, "own": None} and short["effects"] == []
+    assert (new["effects"] == []) == alone and len(report["changed"]) == (0 if alone else 1)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"is as long as a forecast: {'new.h5, ' if alone else ''}short.h5." in said
+    assert "File by file" in (tmp_path / "out" / "report.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
