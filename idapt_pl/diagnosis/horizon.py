@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from idapt_pl.diagnosis.data import UnusableData, Windows, sample_windows
+from idapt_pl.diagnosis.data import Recording, UnusableData, Windows, sample_windows
 from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.diagnosis.whitening import initial_sensitivity
 
 SHORTEST = 6
 """Control steps that the usual episode must last where only positions were measured."""
+
+SHORTEST_WINDOW = 5
+"""Control steps in a window at least, where episodes are long enough."""
 
 
 def noise_windows(sim: Simulator, episodes: np.ndarray, seed: int) -> Windows:
@@ -32,6 +35,16 @@ def noise_windows(sim: Simulator, episodes: np.ndarray, seed: int) -> Windows:
     return windows
 
 
+def usable_episodes(data: list[Recording]) -> list[int]:
+    """Numbers of the episodes that hold a window of the fewest control steps; all where none does.
+
+    Gaps in a log leave fragments. They are often calm, and would be held out for it.
+    """
+    steps = min(SHORTEST_WINDOW, max(2, max(map(len, data)) // 2))
+    every = range(len(data))
+    return [e for e in every if len(sample_windows(data, np.array([e]), steps, 1, 1, 0))] or list(every)
+
+
 def choose_horizon(
     sim: Simulator, declared: Effects, noise: Noise, splits: tuple[np.ndarray, np.ndarray], seed: int
 ) -> int:
@@ -41,7 +54,7 @@ def choose_horizon(
     known of the velocity then hides what a servo does at first.
 
     Shorter, down to 5, where longer windows are few or the noise of the first state no longer goes through them
-    linearly: contacts make them say little. Never longer than half the episodes.
+    linearly: contacts make them say little. Never longer than half of the episodes that are fitted or judged on.
 
     Args:
         sim: of the nominal model.
@@ -51,14 +64,14 @@ def choose_horizon(
         seed: of the choice of windows.
     """
     dt = sim.control_period
-    steps = max(5, round(0.1 / dt))
+    steps = max(SHORTEST_WINDOW, round(0.1 / dt))
     if dt < 0.01 or not sim.velocities:
         steps = max(steps, round(0.25 / dt))
     if not sim.velocities:
         steps = max(steps, min(25, round(0.5 / dt)))
-    steps = int(min(steps, max(2, np.median([len(r) for r in sim.data]) // 2)))
-    while steps > 5 and not informative(sim, declared, noise, splits, steps, seed):
-        steps = max(5, steps // 2)
+    steps = int(min(steps, max(2, np.median([len(sim.data[e]) for e in np.concatenate(splits)]) // 2)))
+    while steps > SHORTEST_WINDOW and not informative(sim, declared, noise, splits, steps, seed):
+        steps = max(SHORTEST_WINDOW, steps // 2)
     return steps
 
 

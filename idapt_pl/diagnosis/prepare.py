@@ -11,7 +11,7 @@ from datamodules import Trajectories
 from idapt_pl.diagnosis.candidates import all_candidates, in_plausible_ranges, typical_sizes
 from idapt_pl.diagnosis.context import Progress, SearchContext
 from idapt_pl.diagnosis.data import Recording, as_recordings
-from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows
+from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows, usable_episodes
 from idapt_pl.diagnosis.model import name_elements
 from idapt_pl.diagnosis.noise import Noise, estimate_noise
 from idapt_pl.diagnosis.search_state import SearchState, first_state
@@ -31,8 +31,7 @@ def begin_search(
     """A search that has not looked for anything yet. Arguments as for :func:`~idapt_pl.diagnosis.diagnose`."""
     model, declared = name_elements(model.copy()), tuple(declared)
     data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
-    usable = [i for i, r in enumerate(data) if r.left_out is None or not r.left_out.all()]
-    splits = split_episodes(activity(data), fit, hold_out, usable)
+    splits = split_episodes(activity(data), fit, hold_out, usable_episodes(data))
     sim = Simulator(model, data, velocities, threads, unmeasured)
     probe = noise_windows(sim, splits[0], seed)
     first_noise = noise or estimate_noise(sim, declared, probe)
@@ -66,7 +65,7 @@ def split_episodes(
         lively: of each episode, as of :func:`activity`.
         fit: numbers of the episodes to fit on, if not all that are not held out.
         hold_out: numbers of the episodes to judge on, if not the others.
-        usable: numbers of those that are not left out altogether, if not all.
+        usable: numbers of those that are long enough and not left out, if not all.
 
     Raises:
         ValueError: there is no such episode, one is in both parts, or none is left for one of them.
@@ -88,7 +87,10 @@ def split_episodes(
         raise ValueError(f"episodes {both} are both to be fitted and held out")
     if not len(fitted) or not len(judged):
         lacking = "hold out" if len(fitted) else "fit"
-        raise ValueError(f"{len(every)} episodes leave none to {lacking}; at least two are needed")
+        raise ValueError(
+            f"{len(every)} of {n} episodes are long enough and not left out, which leaves none to {lacking}; at least "
+            "two are needed"
+        )
     return fitted, judged
 
 

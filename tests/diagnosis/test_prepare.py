@@ -1,9 +1,18 @@
 """Which episodes are fitted and which are judged on."""
 
+import sys
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
+from conftest import ROOT
 
-from idapt_pl.diagnosis.prepare import split_episodes
+from idapt_pl.diagnosis.prepare import begin_search, split_episodes
+from idapt_pl.stretches.stretch import with_marks
+
+sys.path.insert(0, str(ROOT / "tests" / "diagnosis"))
+from arm import ARM, record
 
 
 def test_split_holds_every_fourth_episode_out_and_never_shares():
@@ -22,3 +31,16 @@ def test_both_parts_have_calm_and_lively_episodes():
     """Recordings often take turns: every fourth in order would hold out one kind of motion."""
     _, held = split_episodes(np.tile([1.0, 2.0, 3.0, 0.1], 4), None, None)
     assert {int(e) % 4 for e in held} == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("fragments", [2, 4])
+def test_fragments_are_neither_fitted_nor_held_out(fragments):
+    """Gaps in a log leave them: they would be the only ones to judge on, or make all windows as short."""
+    data = record(episodes=3)
+    first, second, third = data.episodes
+    cut = [first.part(k, k + 4) for k in (30, 40, 50, 60)[:fragments]]
+    kept = np.arange(len(second)) % 6 == 0  # no window fits between what is left out
+    episodes = (first, *cut, second, third, with_marks(second, ~kept))
+    context, _ = begin_search(mujoco.MjSpec.from_string(ARM), replace(data, episodes=episodes), threads=1)
+    used = sorted([*context.fit_episodes, *context.held_out_episodes])
+    assert used == [0, 1 + fragments, 2 + fragments] and context.steps == 5
