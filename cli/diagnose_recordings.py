@@ -25,7 +25,7 @@ from idapt_pl.diagnosis.claims import claim
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS
+from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS, SearchSettings
 from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
@@ -66,15 +66,12 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
         held = hold_still_joints(release(model), data)
     data = more_than_one(data)
 
-    settings = QUICK_SETTINGS if o.quick else DEFAULT_SETTINGS
-    settings = replace(settings, max_effects=min(o.max_effects, settings.max_effects))
-
     with progress_bar() as progress:
 
         def run(recordings: Trajectories) -> Diagnosis:
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                settings, progress, o.threads, unmeasured=held, laws=False,
+                search_settings(o), progress, o.threads, unmeasured=held, laws=False,
             )  # fmt: skip
 
         try:
@@ -94,6 +91,13 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
         Console().print(escape(sentence), soft_wrap=True, highlight=False)
     print_comparison(comparison)
     return diagnosis
+
+
+def search_settings(o: argparse.Namespace) -> SearchSettings:
+    """How hard to look: as many effects as were asked for, in a quick look no more than it has time for."""
+    if not o.quick:
+        return replace(DEFAULT_SETTINGS, max_effects=o.max_effects)
+    return replace(QUICK_SETTINGS, max_effects=min(o.max_effects, QUICK_SETTINGS.max_effects))
 
 
 def finish(found: Diagnosis, o: argparse.Namespace) -> Diagnosis:

@@ -208,14 +208,17 @@ def select_and_revise(
 ) -> Progression:
     """Add effects until none helps (``most`` each time), then reopen earlier choices; where one changed, add again.
 
+    With ``most`` the effects that it begins with do not count among those at which a search stops.
     What was hidden behind a wrong first choice shows once that is put right. The search breaks off where it leads
     nowhere (:func:`leads_nowhere`); ``to_the_end`` not even if forces contradict it.
     """
+    all_together = len(progress[0].accepted) + context.settings.max_effects
     for revision in range(REVISIONS):
         before = level(context, progress[0])
-        progress = (
-            add_effects(context, progress, to_the_end) if most is None else add_one_by_one(context, progress, most)
-        )
+        if most is None:
+            progress = add_effects(context, progress, to_the_end)
+        else:
+            progress = add_one_by_one(context, progress, min(most, all_together - len(progress[0].accepted)))
         state, trials = progress
         if not state.accepted or leads_nowhere(context, state, to_the_end):
             break

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from cli.diagnose import command_line
+from cli.diagnose_recordings import search_settings
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
@@ -79,6 +81,13 @@ def test_a_quick_look_finds_the_largest_effect_and_says_what_it_did_not_try(tmp_
     assert [(e["effect"], e["target"]) for e in report["effects"]] == [("joint_damping", "shoulder")]
     assert report["not_tried"] and "changes" not in report and "laws" not in report
     assert "What was not tried?" in (tmp_path / "d/report.html").read_text()
+
+
+@pytest.mark.parametrize(("given", "most"), [([], 8), (["--max-effects", "12"], 12), (["--max-effects", "1"], 1)])
+def test_as_many_effects_as_were_asked_for_and_two_at_a_quick_look(given, most):
+    args = ["--data", "m.h5", "--out", "d", *given]
+    assert search_settings(command_line().parse_args(args)).max_effects == most
+    assert search_settings(command_line().parse_args([*args, "--quick"])).max_effects == min(most, 2)
 
 
 def test_time_for_a_quick_look_is_up_after_half_of_it():

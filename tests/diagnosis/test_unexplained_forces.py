@@ -10,12 +10,12 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose
+from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose, search_by_forces
 from idapt_pl.diagnosis.search_state import AcceptedEffect
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
 from idapt_pl.diagnosis.unexplained_forces import beyond_noise, contradicts_forces, unexplained_forces
 from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
-from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss, JointStiffness
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.minute_section import matter_in_words
 
@@ -118,6 +118,18 @@ def test_friction_and_damping_of_every_joint_are_found_and_no_rotor_inertia(arm)
     text = " ".join(verdict_in_words(out.result, out.sim.model))
     page = matter_in_words(out.result)
     assert all("the force that nothing explains" in x and "noise alone" not in x for x in (text, page))
+
+
+def test_no_more_effects_than_were_asked_for_are_added_to_the_usual_causes():
+    """Two springs are hidden beside the damping, and both would be found."""
+    hidden = (JointDamping("shoulder", 12.0), JointStiffness("shoulder", 30.0), JointStiffness("elbow", 8.0))
+    context, state = begin_search(
+        spec_of(), recorded(hidden), threads=1, settings=replace(QUICK, max_effects=1),
+        candidates=["joint_damping", "joint_stiffness"],
+    )  # fmt: skip
+    after, _ = search_by_forces(context, (state, ()))
+    kinds = [c.kind for c in after.candidates]
+    assert kinds.count(JointStiffness) == 1 and JointDamping in kinds
 
 
 def test_a_joint_that_never_moves_breaks_nothing(arm):
