@@ -26,11 +26,15 @@ REPEAT = "run idapt diagnose again, with this version"
 """What to do about a report that lacks something."""
 
 COMPARED = (
-    "body_mass", "body_inertia", "body_ipos", "dof_damping", "dof_frictionloss", "dof_armature", "jnt_stiffness",
-    "qpos_spring", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm", "actuator_gear", "geom_friction",
-    "geom_solref",
+    "body_mass", "body_inertia", "body_ipos", "dof_damping", "dof_dampingpoly", "dof_frictionloss", "dof_armature",
+    "jnt_stiffness", "qpos_spring", "actuator_gainprm", "actuator_biasprm", "actuator_dyntype", "actuator_dynprm",
+    "actuator_delay", "actuator_gear", "actuator_ctrllimited", "actuator_ctrlrange", "actuator_forcelimited",
+    "actuator_forcerange", "geom_friction", "geom_solref", "pair_friction", "pair_solref",
 )  # fmt: skip
-"""Arrays by which a model is known again."""
+"""Arrays by which a model is known again: all that effects write to."""
+
+COMPARED_OPTIONS = ("timestep", "integrator", "gravity", "density", "viscosity")
+"""Options by which it is."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +159,11 @@ def nominal_of(given: mujoco.MjSpec, path: Path, report: Path) -> mujoco.MjSpec:
 
 def alike(a: mujoco.MjModel, b: mujoco.MjModel) -> bool:
     """Whether two models are the same, as far as six digits tell."""
-    if (a.nq, a.nv, a.nu, a.nbody, a.ngeom) != (b.nq, b.nv, b.nu, b.nbody, b.ngeom):
+    if (a.nq, a.nv, a.nu, a.nbody, a.ngeom, a.npair) != (b.nq, b.nv, b.nu, b.nbody, b.ngeom, b.npair):
         return False
     names = [[m.joint(j).name for j in range(m.njnt)] + [m.actuator(i).name for i in range(m.nu)] for m in (a, b)]
-    close = (np.allclose(getattr(a, n), getattr(b, n), rtol=1e-4, atol=1e-7) for n in COMPARED)
-    return names[0] == names[1] and bool(np.isclose(a.opt.timestep, b.opt.timestep)) and all(close)
+    values = [[*(getattr(m, n) for n in COMPARED), *(getattr(m.opt, n) for n in COMPARED_OPTIONS)] for m in (a, b)]
+    return names[0] == names[1] and all(np.allclose(x, y, rtol=1e-4, atol=1e-7) for x, y in zip(*values, strict=True))
 
 
 def rival_of(declared: Effects, e: Explanation) -> Rival:

@@ -3,13 +3,17 @@
 import json
 
 import mujoco
+import numpy as np
 import pytest
-from arms import DAMPING, FRICTION, SERVO, report_folder
+from arms import DAMPING, FRICTION, RAIL, SERVO, report_folder
 
+from idapt_pl.diagnosis.candidates import all_candidates
 from idapt_pl.diagnosis.explanation import Standing
+from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.excitation.limits import ImpossibleMotion
-from idapt_pl.excitation.rivals import read_left_open
+from idapt_pl.excitation.rivals import alike, read_left_open
 
 
 def read(folder, model="nominal.xml"):
@@ -34,6 +38,18 @@ def test_the_repaired_model_is_traced_back_to_the_one_diagnosed(tmp_path):
     (tmp_path / "diagnosis" / "patched.xml").write_text(spec.to_xml())
     for model in ("nominal.xml", "diagnosis/patched.xml"):
         assert read(tmp_path, model).spec.compile().dof_damping[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("xml", [SERVO, RAIL])
+def test_every_effect_in_a_repaired_model_is_seen(tmp_path, xml):
+    """A repaired model that is taken for the nominal one would have what was found twice."""
+    nominal, one = mujoco.MjSpec.from_string(xml), np.ones(1)
+    sizes = TypicalSizes(0.02, 0.1 * one, one, 0.5 * one, 6 * one, 0.5 * one, 2 * one, 0.2)
+    for candidate in all_candidates(nominal, sizes):
+        for start in candidate.starts or (np.array(candidate.nominal) + candidate.scale,):
+            repaired = repair_model(nominal, (candidate.effect(np.array(start)),), tmp_path)
+            models = map(mujoco.MjModel.from_xml_string, (repaired.nominal, repaired.patched))
+            assert alike(*models) == (repaired.nominal == repaired.patched), candidate.label
 
 
 def test_a_report_of_before_this_version_is_read_with_the_nominal_model_alone(tmp_path):
