@@ -170,19 +170,31 @@ class Simulator:
     def _simulate(
         self, effects: Effects, windows: Windows, nudge: np.ndarray | None, push: np.ndarray | None
     ) -> Motion:
+        return self.seen(effects, windows, self.states(effects, windows, nudge, push)[0])
+
+    def states(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """True states, the first and that after every time step, (n, steps + 1, size), and commands (n, steps, nu).
+
+        The latter as they reach the actuators in every time step. Arguments as of :meth:`residual`.
+        """
         self.calls += 1
         model, data = self._ready(effects)
-        qpos, qvel = self._start(effects, windows, nudge)
-        times = self._times(windows)
-        ends = times[:, windows.offsets] - times[:, :1]
-        steps = int(np.ceil(ends.max() / model.opt.timestep - 1e-6))
+        times, first = self._times(windows), self._start(effects, windows, nudge)
+        steps = int(np.ceil((times[:, windows.offsets[-1]] - times[:, 0]).max() / model.opt.timestep - 1e-6))
         controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
         play = BacklashCoordinates(self.model, model)
         with silence_mujoco():
             loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
-            first = play.expand(qpos, qvel, loose)
-            states = self._roll(model, data, effects, times[:, 0], *first, controls, windows, push)
-        qpos, qvel = play.contract(*interpolate_states(model, states, ends))
+            first = play.expand(*first, loose)
+            return self._roll(model, data, effects, times[:, 0], *first, controls, windows, push), controls
+
+    def seen(self, effects: Effects, windows: Windows, states: np.ndarray) -> Motion:
+        """What is measured at every sample of windows in which a model goes through states (n, steps + 1, size)."""
+        model, times = self.compile(effects), self._times(windows)
+        ends = times[:, windows.offsets] - times[:, :1]
+        qpos, qvel = BacklashCoordinates(self.model, model).contract(*interpolate_states(model, states, ends))
         for effect, joints in self._sensing(effects):
             qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
         return qpos, qvel
@@ -361,6 +373,13 @@ class Simulator:
 def acts_outside_model(effect: Effect) -> bool:
     """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
     return isinstance(effect, RuntimeEffect) and not effect.constrains
+
+
+def settled_by_commands(model: mujoco.MjModel) -> np.ndarray:
+    """Numbers of the actuators whose state is taken to be the command that they begin with: filters, beside others."""
+    filters = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT, mujoco.mjtDyn.mjDYN_MUSCLE
+    every = model.na == model.nu
+    return np.flatnonzero((model.actuator_actnum == 1) & (every | np.isin(model.actuator_dyntype, filters)))
 
 
 def interpolate_states(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -106,12 +106,7 @@ class MotionSearch:
         self.seed, self.rng, self.progress = seed, np.random.default_rng(seed), progress
         self.reachable = np.zeros(len(criterion.pairs))
         self.tried = self.safe = 0
-        effects = [coarse(r) for r in criterion.rivals]
-        nominal = criterion.forecast.model
-        models = [criterion.forecast.sim.compile(e) for e in effects]
-        models = [m if m.nq == nominal.nq else nominal for m in models]  # play in a joint is a coordinate of its own
-        starts = [criterion.forecast.start(e) for e in effects]
-        self.checks = [PoseCheck(m, limits, s) for m, s in zip(models, starts, strict=True)]
+        self.checks = [PoseCheck(criterion.forecast.sim.compile(coarse(r)), limits) for r in criterion.rivals]
 
     def run(self, evaluations: int) -> MotionDesign:
         """Search with so many simulated motions.
@@ -144,7 +139,7 @@ class MotionSearch:
         """Values of coefficients (n, size): the worth of safe motions, minus the excess of others; and separations."""
         commands = self.motion.commands(x)
         score = self.criterion(commands)
-        excess = np.stack([self.excess(i, f, commands) for i, f in enumerate(score.forecasts)]).max(0)
+        excess = np.stack([self.excess(i, f) for i, f in enumerate(score.forecasts)]).max(0)
         safe = excess <= 0
         self.tried, self.safe = self.tried + len(x), self.safe + int(safe.sum())
         if safe.any():
@@ -163,12 +158,12 @@ class MotionSearch:
         size = relative_size(self.criterion.forecast.model, self.limits, seen.qpos, seen.qvel) / FULL
         return np.array([self.motion.reachable(v) / s if s > 1 else v for v, s in zip(x, size, strict=True)])
 
-    def excess(self, rival: int, seen: Forecast, commands: np.ndarray) -> np.ndarray:
+    def excess(self, rival: int, seen: Forecast) -> np.ndarray:
         """By how much motions go beyond the limits under one rival, (n,); not above 0 for safe ones."""
         excess = motion_excess(self.criterion.forecast.model, self.limits, seen.qpos, seen.qvel)
         check = self.checks[rival]
         for k in np.flatnonzero(excess <= 0) if check.needed else ():
-            rooms = [m.room for m in check.forbidden(seen.qpos[k], seen.qvel[k], commands[k])]
+            rooms = [m.room for m in check.forbidden(seen.states[k], seen.arriving[k])]
             excess[k] = max(excess[k], -min(rooms, default=0.0))
         return excess
 
@@ -204,18 +199,19 @@ class MotionSearch:
 
     def worst_margin(self, x: np.ndarray) -> str:
         """In words where a motion breaks the limits."""
-        commands = self.motion.commands(x[None])
-        margins = self.margins_of(self.criterion(commands).forecasts, commands[0])
+        margins = self.margins_of(self.criterion(self.motion.commands(x[None])).forecasts)
         worst = min(margins, key=lambda m: m.room)
         return f"{worst.what} reaches {worst.reached:.3g}, the limit is {worst.limit:.3g}"
 
-    def margins_of(self, forecasts: Sequence[Forecast], commands: np.ndarray) -> list[SafetyMargin]:
+    def margins_of(self, forecasts: Sequence[Forecast]) -> list[SafetyMargin]:
         """The tightest places over the rivals' forecasts of one motion."""
-        model, found = self.criterion.forecast.model, []
-        for check, seen in zip(self.checks, forecasts, strict=True):
-            found += limit_margins(model, self.limits, seen.qpos[0], seen.qvel[0])
-            found += check.forbidden(seen.qpos[0], seen.qvel[0], commands)
-        return tightest_of_each(found)
+        pairs = zip(self.checks, forecasts, strict=True)
+        return tightest_of_each([m for check, seen in pairs for m in self.margins(check, seen)])
+
+    def margins(self, check: PoseCheck, seen: Forecast) -> list[SafetyMargin]:
+        """The tightest places of one motion, by the model that it was forecast with."""
+        speeds = limit_margins(self.criterion.forecast.model, self.limits, seen.qpos[0], seen.qvel[0])
+        return [*speeds, *check.forbidden(seen.states[0], seen.arriving[0])]
 
     def refined(
         self, best: Best, n: int, worth: Callable[[Score], np.ndarray], what: str, span: tuple[float, float]
@@ -289,13 +285,11 @@ class MotionSearch:
     def margins_with_variants(self, commands: np.ndarray) -> list[SafetyMargin]:
         """The tightest places of a motion (1, T, nu) over all rivals, and over variants of each."""
         forecast, rng, found = self.criterion.forecast, np.random.default_rng(self.seed), []
-        for rival, check in zip(self.criterion.rivals, self.checks, strict=True):
-            effects = coarse(rival)
+        for effects in map(coarse, self.criterion.rivals):
             model, start = forecast.sim.compile(effects), forecast.start(effects)
             for variant in (effects, *(varied(model, effects, rng) for _ in range(VARIANTS))):
-                seen = forecast(variant, commands, start)
-                found += limit_margins(forecast.model, self.limits, seen.qpos[0], seen.qvel[0])
-                found += check.forbidden(seen.qpos[0], seen.qvel[0], commands[0])
+                check = PoseCheck(forecast.sim.compile(variant), self.limits)
+                found += self.margins(check, forecast(variant, commands, start))
         return tightest_of_each(found)
 
 

@@ -29,11 +29,15 @@ class Forecast:
         time: s, (T+1,).
         qpos: (n, T+1, nq).
         qvel: (n, T+1, nv).
+        states: of the explanation's own model meanwhile, ``mjSTATE_FULLPHYSICS``, (n, T+1, size).
+        arriving: what reaches the actuators from then on, through all that happens to commands, (n, T+1, nu).
     """
 
     time: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
+    states: np.ndarray
+    arriving: np.ndarray
 
     def recordings(self, commands: np.ndarray) -> list[Recording]:
         """As if they had been measured without noise; ``commands`` are (n, T, nu)."""
@@ -103,9 +107,14 @@ class MotionForecaster:
         at = np.tile(qpos, (steps + 1, 1))
         sim = self.sim.replaying([Recording(f"motion_{i}", time, at, still, u) for i, u in enumerate(commands)])
         whole = Windows(np.arange(n), np.zeros(n, int), np.arange(1, steps + 1))
-        q, v = sim.predict(effects, whole)
+        states, arriving = sim.states(effects, whole)
+        q, v = sim.seen(effects, whole, states)
         first = np.broadcast_to(qpos, (n, 1, len(qpos))), np.zeros((n, 1, self.model.nv))
-        return Forecast(time, np.concatenate([first[0], q], 1), np.concatenate([first[1], v], 1))
+        k = np.round(time / sim.compile(effects).opt.timestep).astype(int)
+        return Forecast(
+            time, np.concatenate([first[0], q], 1), np.concatenate([first[1], v], 1), states[:, k],
+            arriving[:, np.minimum(k, arriving.shape[1] - 1)],
+        )  # fmt: skip
 
 
 def coarse(rival: Rival) -> Effects:

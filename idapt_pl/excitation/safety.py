@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from idapt_pl.diagnosis.simulator import STATE
 from idapt_pl.effects.candidate import scalar_joints
 from idapt_pl.excitation.limits import MotionLimits
 
@@ -71,28 +72,27 @@ def scalar_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
 
 
 class PoseCheck:
-    """Looks at single poses of a motion: contacts, heights, forces.
+    """Looks at single states of a motion: contacts, heights, forces.
 
     Args:
-        model: of an explanation.
+        model: that goes through them.
         limits: to keep.
-        start: pose in which what touches may go on touching, (nq,).
     """
 
-    def __init__(self, model: mujoco.MjModel, limits: MotionLimits, start: np.ndarray) -> None:
+    def __init__(self, model: mujoco.MjModel, limits: MotionLimits) -> None:
         self.model, self.limits, self.data = model, limits, mujoco.MjData(model)
         self.moving = np.flatnonzero(moving_geoms(model))
-        self.allowed: set[Pair] = set()
         solid = bool(model.npair or (model.geom_contype | model.geom_conaffinity).any())
         self.needed = bool(
             (limits.no_contact and solid) or limits.lowest is not None or np.isfinite(limits.force).any()
         )
-        self.allowed = self.touching(self._pose(start, np.zeros(model.nv), np.zeros(model.nu)))
 
-    def _pose(self, qpos: np.ndarray, qvel: np.ndarray, command: np.ndarray) -> mujoco.MjData:
+    def _pose(self, state: np.ndarray, command: np.ndarray) -> mujoco.MjData:
+        """Where a state puts the model; with those of its filters and delays, on which forces depend."""
         d = self.data
         mujoco.mj_resetData(self.model, d)
-        d.qpos[: len(qpos)], d.qvel[: len(qvel)], d.ctrl[:] = qpos, qvel, command
+        mujoco.mj_setState(self.model, d, state, STATE)
+        d.ctrl[:] = command
         mujoco.mj_forward(self.model, d)
         return d
 
@@ -100,15 +100,21 @@ class PoseCheck:
         """Pairs of geoms that touch."""
         return {(int(min(pair)), int(max(pair))) for pair in data.contact.geom[data.contact.dist < 0]}
 
-    def forbidden(self, qpos: np.ndarray, qvel: np.ndarray, commands: np.ndarray) -> list[SafetyMargin]:
-        """The tightest places of one motion, (T+1, nq), (T+1, nv) and (T, nu)."""
+    def forbidden(self, states: np.ndarray, arriving: np.ndarray) -> list[SafetyMargin]:
+        """The tightest places of one motion; what touches at its start may go on touching.
+
+        Args:
+            states: ``mjSTATE_FULLPHYSICS``, (T+1, size).
+            arriving: commands that act from each on, (T+1, nu).
+        """
         if not self.needed:
             return []
         touched: set[Pair] = set()
         height, force = np.inf, np.tile([np.inf, -np.inf], (self.model.nu, 1))
-        for q, v, u in zip(qpos[1:], qvel[1:], commands, strict=True):
-            d = self._pose(q, v, u)
-            touched |= self.touching(d) - self.allowed
+        allowed = self.touching(self._pose(states[0], arriving[0]))
+        for state, command in zip(states, arriving, strict=True):
+            d = self._pose(state, command)
+            touched |= self.touching(d) - allowed
             height = min(height, lowest_point(self.model, d, self.moving))
             force[:, 0] = np.minimum(force[:, 0], d.actuator_force)
             force[:, 1] = np.maximum(force[:, 1], d.actuator_force)

@@ -1,12 +1,11 @@
 """Limits come from the model, options narrow them, and what cannot be is said in a sentence."""
 
-import mujoco
 import numpy as np
 import pytest
-from arms import RAIL, SERVO, compiled
+from arms import RAIL, compiled
 
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of, servo_dof
-from idapt_pl.excitation.safety import PoseCheck, limit_margins, motion_excess, relative_size
+from idapt_pl.excitation.safety import limit_margins, motion_excess, relative_size
 
 
 def test_limits_are_those_of_the_model_less_the_margin():
@@ -64,20 +63,3 @@ def test_a_motion_is_measured_against_its_limits():
     room = {m.what: m.room for m in limit_margins(model, limits, qpos[0], qvel[0])}
     assert room == pytest.approx({"position shoulder": 0.1 / 1.5, "velocity shoulder": -0.05})
     assert motion_excess(model, limits, np.full((1, 2, 1), np.nan), np.zeros((1, 2, 1)))[0] > 0
-
-
-def test_contacts_heights_and_forces_are_seen():
-    model = compiled()
-    limits = limits_of(model, force={"*": (0, 5.0)}, lowest=0.8)
-    check = PoseCheck(model, limits, np.zeros(1))
-    still = {m.what: m for m in check.forbidden(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((1, 1)))}
-    assert still["contacts"].room == 0 and still["force servo"].room == pytest.approx(0.5)
-    assert still["height"].reached == pytest.approx(0.48)  # the rod's lower end, with its radius
-    hit = {m.what: m for m in check.forbidden(np.full((2, 1), 0.8), np.zeros((2, 1)), np.ones((1, 1)))}
-    assert hit["contact of wall and rod"].room == -1 and hit["force servo"].reached == pytest.approx(4.0)
-
-
-def test_what_touches_at_the_start_may_touch_on():
-    model = mujoco.MjModel.from_xml_string(SERVO)
-    check = PoseCheck(model, limits_of(model), np.full(1, 0.8))
-    assert check.forbidden(np.full((2, 1), 0.85), np.zeros((2, 1)), np.zeros((1, 1)))[0].room == 0
