@@ -71,7 +71,7 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
         def run(recordings: Trajectories) -> Diagnosis:
             return diagnose(
                 model, recordings, declared, o.fit, o.hold_out, o.candidates, o.seed,
-                search_settings(o), progress, o.threads, unmeasured=held, laws=False,
+                search_settings(o), progress, o.threads, unmeasured=tuple(held), laws=False,
             )  # fmt: skip
 
         try:

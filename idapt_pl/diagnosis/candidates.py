@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.data import Recording
+from idapt_pl.diagnosis.held_joints import joints_held
 from idapt_pl.effects import EFFECTS
+from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
 from idapt_pl.effects.plausible import Machine, with_plausible_ends
 from idapt_pl.effects.world import Numerics
@@ -87,9 +89,12 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:
-    """Every candidate of every effect for a model, in :data:`CANDIDATE_ORDER`."""
-    model = spec.copy().compile()
-    return in_order([c for kind in EFFECTS.values() for c in kind.candidates(model, typical)])
+    """Every candidate of every effect for a model, in :data:`CANDIDATE_ORDER`; none on joints that are held."""
+    model, held = spec.copy().compile(), joints_held(spec)
+    if held and (model.jnt_type >= 2).sum() - len(held) < 2:
+        held |= {"*", ACTUATED}  # one value for all would be that of the only joint left
+    every = [c for kind in EFFECTS.values() for c in kind.candidates(model, typical)]
+    return in_order([c for c in every if c.target not in held or not c.kind.phrase.endswith("joint")])
 
 
 def in_plausible_ranges(

@@ -6,6 +6,8 @@ while the recordings are compared with the model, which the repaired model does 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
@@ -16,7 +18,7 @@ STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """``solimp``: next to nothing gives way."""
 
 
-def hold_still_joints(spec: mujoco.MjSpec, data: Trajectories) -> tuple[str, ...]:
+def hold_still_joints(spec: mujoco.MjSpec, data: Trajectories) -> dict[str, float]:
     """Hold the hinges and slides that have one position throughout, to the last digit, and are not driven.
 
     A joint that is told to move and does not is a finding, and stays free. So does everything if nothing moves at all,
@@ -27,20 +29,35 @@ def hold_still_joints(spec: mujoco.MjSpec, data: Trajectories) -> tuple[str, ...
         data: recordings with ``qpos`` (T+1, nq), or a ``state`` that begins with it.
 
     Returns:
-        Names of the joints that are held.
+        Where the joints that are held are, rad or m, by their names.
     """
     model = spec.copy().compile()
-    still = {j: q for j in range(model.njnt) if (q := one_position(model, j, data)) is not None}
+    found = ((model.joint(j).name, one_position(model, j, data)) for j in range(model.njnt))
+    still = {name: q for name, q in found if q is not None}
     if len(still) == model.njnt:
-        return ()
-    for j, position in still.items():
-        name, dt = model.joint(j).name, model.opt.timestep
-        from_home = position - float(model.qpos0[model.jnt_qposadr[j]])
+        return {}
+    hold_joints(spec, still)
+    return still
+
+
+def hold_joints(spec: mujoco.MjSpec, positions: Mapping[str, float]) -> None:
+    """Hold hinges and slides in a model, which is edited, at positions [rad or m].
+
+    Raises:
+        KeyError: the model has no such joint.
+    """
+    model = spec.copy().compile()
+    for name, position in positions.items():
+        from_home = position - float(model.qpos0[model.jnt_qposadr[model.joint(name).id]])
         spec.add_equality(
             name=PREFIX + name, type=mujoco.mjtEq.mjEQ_JOINT, name1=name, objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            data=[from_home, *[0.0] * (mujoco.mjNEQDATA - 1)], solref=[2.001 * dt, 1.0], solimp=STIFF,
+            data=[from_home, *[0.0] * (mujoco.mjNEQDATA - 1)], solref=[2.001 * model.opt.timestep, 1.0], solimp=STIFF,
         )  # fmt: skip
-    return tuple(model.joint(j).name for j in still)
+
+
+def joints_held(spec: mujoco.MjSpec) -> set[str]:
+    """Names of the joints that are held in a model."""
+    return {e.name.removeprefix(PREFIX) for e in spec.equalities if e.name.startswith(PREFIX)}
 
 
 def one_position(model: mujoco.MjModel, joint: int, data: Trajectories) -> float | None:

@@ -375,13 +375,6 @@ def acts_outside_model(effect: Effect) -> bool:
     return isinstance(effect, RuntimeEffect) and not effect.constrains
 
 
-def settled_by_commands(model: mujoco.MjModel) -> np.ndarray:
-    """Numbers of the actuators whose state is taken to be the command that they begin with: filters, beside others."""
-    filters = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT, mujoco.mjtDyn.mjDYN_MUSCLE
-    every = model.na == model.nu
-    return np.flatnonzero((model.actuator_actnum == 1) & (every | np.isin(model.actuator_dyntype, filters)))
-
-
 def interpolate_states(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities at times after the first state, by cubic Hermite between steps.
 

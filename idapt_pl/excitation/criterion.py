@@ -77,11 +77,13 @@ class SeparationCriterion:
         windows, sim = self.windows(seen, commands), self.forecast.sim.replaying(seen.recordings(commands))
         at = initial_sensitivity(sim, first, windows, self.noise.start)
         W = whitener(at, self.noise, sim.compared)
-        covariance = np.linalg.inv(np.einsum("nab,nac->nbc", W, W))
+        compared = np.flatnonzero(W.any((0, 1)))
+        covariance = np.linalg.inv(np.einsum("nab,nac->nbc", W[:, :, compared], W[:, :, compared]))
         usual = np.median(covariance, 0)
         scale = np.sqrt(np.diag(usual))
         eigenvalues, V = np.linalg.eigh(usual / np.outer(scale, scale))  # a median need not be positive definite
-        self.W = (V / np.sqrt(np.maximum(eigenvalues, 1e-6))).T / scale
+        self.W = np.zeros(W.shape[1:])
+        self.W[:, compared] = (V / np.sqrt(np.maximum(eigenvalues, 1e-6))).T / scale
 
     def __call__(self, commands: np.ndarray) -> Score:
         """Score commands, (n, T, nu)."""

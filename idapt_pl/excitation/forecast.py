@@ -56,6 +56,7 @@ class MotionForecaster:
         control_period: s.
         velocities: whether they are measured.
         threads: for simulating.
+        unmeasured: names of joints that nothing is judged by.
 
     Raises:
         ImpossibleMotion: the model does not stay at the start pose.
@@ -63,13 +64,13 @@ class MotionForecaster:
 
     def __init__(
         self, spec: mujoco.MjSpec, rivals: Sequence[Rival], qpos: np.ndarray, held: np.ndarray, control_period: float,
-        velocities: bool, threads: int | None = None,
+        velocities: bool, threads: int | None = None, unmeasured: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.dt, self.held, self.rivals = control_period, held, rivals
         nothing = np.zeros(spec.copy().compile().nv)
         still = Recording("start", control_period * np.arange(2), np.tile(qpos, (2, 1)), np.tile(nothing, (2, 1)),
                           held[None])  # fmt: skip
-        self.sim = Simulator(spec, [still], velocities, threads)
+        self.sim = Simulator(spec, [still], velocities, threads, unmeasured)
         self.sim.kept_models = 64
         self.model = self.sim.model
         self._starts: dict[Effects, np.ndarray] = {}

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.context import Progress
+from idapt_pl.diagnosis.held_joints import drives
 from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.design import Goal, MotionDesign, MotionSearch
 from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import ImpossibleMotion, MotionLimits, is_servo
 from idapt_pl.excitation.motion import fourier_motion
 from idapt_pl.excitation.rivals import LeftOpen, Rival
+
+HELD_WITHIN = 1e-3
+"""By how much a pose may differ from where a joint is held, rad or m: poses are typed."""
 
 NOMINAL_COST = 1.5e-6
 """Nominal cost of one time step of one degree of freedom: no result may depend on a clock."""
@@ -92,10 +96,10 @@ def prepare_search(
     """
     rivals = left_open.rivals[: plan.rivals]
     measurement = left_open.measurement
-    model = left_open.spec.copy().compile()
+    model, still = left_open.spec.copy().compile(), left_open.held
     dt = 1 / plan.control_rate if plan.control_rate else measurement.control_period
-    pose = start_pose(model) if plan.start is None else plan.start
-    check_pose(model, pose)
+    pose = start_pose(model, still) if plan.start is None else plan.start
+    check_pose(model, pose, still)
     held = np.clip(holding_commands(model, pose), *plan.limits.command.T)
     around = np.tile(held, (max(2, round(plan.duration / dt)), 1)) if plan.base is None else plan.base
     window = measurement.window_steps * measurement.control_period
@@ -105,36 +109,66 @@ def prepare_search(
             "three of them are the least; give a longer --duration"
         )
     fastest = min(0.15 / dt, 3.0) if plan.fastest is None else plan.fastest
-    motion = fourier_motion(around, plan.limits.command, dt, fastest, plan.seed)
-    forecaster = MotionForecaster(left_open.spec, rivals, pose, around[0], dt, measurement.velocities, threads)
+    limits = with_held_joints(model, plan.limits, around[0], still)
+    motion = fourier_motion(around, limits.command, dt, fastest, plan.seed)
+    forecaster = MotionForecaster(
+        left_open.spec, rivals, pose, around[0], dt, measurement.velocities, threads, tuple(still)
+    )
     criterion = SeparationCriterion(forecaster, rivals, measurement)
-    search = MotionSearch(criterion, motion, plan.limits, plan.goal, plan.seed, progress)
+    search = MotionSearch(criterion, motion, limits, plan.goal, plan.seed, progress)
     return search, affordable_motions(forecaster, rivals, len(around), plan.seconds), rivals
 
 
-def start_pose(model: mujoco.MjModel) -> np.ndarray:
-    """The first keyframe, or the zero pose inside the joints' ranges, (nq,)."""
-    if model.nkey:
-        return model.key_qpos[0].copy()
-    pose = model.qpos0.copy()
-    for j in np.flatnonzero(model.jnt_limited):
+def with_held_joints(
+    model: mujoco.MjModel, limits: MotionLimits, command: np.ndarray, held: Mapping[str, float]
+) -> MotionLimits:
+    """Limits of a motion in which held joints stay where they are, whatever their range.
+
+    Nothing drove them in the recordings, and they may be free: what acts on them keeps the command of the start.
+
+    Args:
+        model: that holds them.
+        limits: without that.
+        command: at the start, (nu,).
+        held: by name.
+    """
+    joints = [model.joint(name).id for name in held]
+    kept = np.array([any(drives(model, i, j) for j in joints) for i in range(model.nu)], bool)
+    position, velocity = limits.position.copy(), limits.velocity.copy()
+    position[model.jnt_dofadr[joints]], velocity[model.jnt_dofadr[joints]] = (-np.inf, np.inf), np.inf
+    commands = np.where(kept[:, None], command[:, None], limits.command)
+    return replace(limits, position=position, velocity=velocity, command=commands)
+
+
+def start_pose(model: mujoco.MjModel, held: Mapping[str, float] | None = None) -> np.ndarray:
+    """The first keyframe, or the zero pose inside the joints' ranges; held joints where they are, (nq,)."""
+    pose = model.key_qpos[0].copy() if model.nkey else model.qpos0.copy()
+    for j in np.flatnonzero(model.jnt_limited) if not model.nkey else ():
         if model.jnt_type[j] >= 2:
             q = model.jnt_qposadr[j]
             pose[q] = np.clip(pose[q], *model.jnt_range[j])
+    for name, position in (held or {}).items():
+        pose[model.joint(name).qposadr] = position
     return pose
 
 
-def check_pose(model: mujoco.MjModel, pose: np.ndarray) -> None:
-    """A pose must be one that the model can be in.
+def check_pose(model: mujoco.MjModel, pose: np.ndarray, held: Mapping[str, float]) -> None:
+    """A pose must be one that the model can be in, with joints that are held where they are.
 
     Raises:
         ImpossibleMotion: naming the joint.
     """
     if not np.isfinite(pose).all():
         raise ImpossibleMotion(f"--start is {' '.join(f'{v:g}' for v in pose)}; expected {model.nq} finite numbers")
+    for name, position in held.items():
+        value = pose[model.joint(name).qposadr[0]]
+        if abs(value - position) > HELD_WITHIN:
+            raise ImpossibleMotion(
+                f"--start puts joint {name} at {value:.3g}; it is held where the recordings have it, at {position:.3g}"
+            )
     for j in np.flatnonzero(model.jnt_limited & (model.jnt_type >= 2)):
         value, (low, high) = pose[model.jnt_qposadr[j]], model.jnt_range[j]
-        if not low <= value <= high:
+        if not low <= value <= high and model.joint(j).name not in held:
             raise ImpossibleMotion(
                 f"--start puts joint {model.joint(j).name or j} at {value:.3g}; its range is {low:.3g} to {high:.3g}"
             )

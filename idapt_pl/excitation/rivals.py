@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.explanation import Explanation, Measurement, Standing
+from idapt_pl.diagnosis.held_joints import hold_joints
 from idapt_pl.diagnosis.model import read_model
 from idapt_pl.diagnosis.result import DiagnosisResult
 from idapt_pl.diagnosis.simulator import Effects
@@ -70,12 +71,14 @@ class LeftOpen:
         rivals: explanations, what was found first.
         measurement: how the recordings were measured.
         intervals: 95 % intervals of the parameters found, by effect, target and parameter.
+        held: where joints are that the recordings hold still, rad or m; the model holds them there.
     """
 
     spec: mujoco.MjSpec
     rivals: tuple[Rival, ...]
     measurement: Measurement
     intervals: Mapping[tuple[str, str, str], tuple[float, float]]
+    held: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_left_open(model: Path, report: Path) -> LeftOpen:
@@ -99,9 +102,10 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
         declared = tuple(effect_from_dict(e) for e in entry["declared"])
         rivals = tuple(rival_of(declared, Explanation.from_dict(e)) for e in entry["explanations"])
         measurement, intervals = Measurement.from_dict(entry["measurement"]), intervals_of(entry["effects"])
+        held = {name: float(position) for name, position in entry.get("held_joints", {}).items()}
     except (KeyError, TypeError, ValueError, AttributeError):
         raise ImpossibleMotion(
-            f"{report / 'report.json'}: it does not say which explanations are left; {REPEAT}"
+            f"{report / 'report.json'}: it does not say which explanations are left, or where joints were; {REPEAT}"
         ) from None
     if not rivals:
         raise ImpossibleMotion(
@@ -110,13 +114,16 @@ def read_left_open(model: Path, report: Path) -> LeftOpen:
     for rival in rivals:
         check_fit(spec, rival, model, report)
     compiled = spec.copy().compile()
-    wanted = compiled.nv * (1 + measurement.velocities)
+    wanted, names = compiled.nv * (1 + measurement.velocities), {compiled.joint(j).name for j in range(compiled.njnt)}
+    if missing := held.keys() - names:
+        raise ImpossibleMotion(f"{model}: it has no joint {min(missing)!r}; give the model that was diagnosed")
     if len(measurement.sensor_noise) != wanted:
         raise ImpossibleMotion(
             f"{model}: it has {compiled.nv} degrees of freedom, but {report / 'report.json'} is about a model with "
             f"{len(measurement.initial_state_noise) // 2}; give the model that was diagnosed"
         )
-    return LeftOpen(spec, rivals, measurement, intervals)
+    hold_joints(spec, held)
+    return LeftOpen(spec, rivals, measurement, intervals, held)
 
 
 def read_report(path: Path) -> dict[str, Any]:

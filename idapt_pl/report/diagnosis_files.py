@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ class RecordingNotes:
         stretches: what was left out.
         comparison: of several files; None for one.
         model_notes: what the model's file said that is not in the model, a sentence each.
-        held: joints that the recordings hold still.
+        held: where joints are that the recordings hold still, rad or m.
     """
 
     faults: Mapping[str, FaultReport] | None = None
@@ -48,7 +48,7 @@ class RecordingNotes:
     stretches: StretchReport | None = None
     comparison: SetComparison | None = None
     model_notes: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``, beside what the diagnosis says."""
@@ -59,7 +59,7 @@ class RecordingNotes:
         if self.model_notes:
             made["model_notes"] = list(self.model_notes)
         if self.held:
-            made["held_joints"] = list(self.held)
+            made["held_joints"] = dict(self.held)
         if self.stretches is not None:
             made["left_out"] = self.stretches.to_dict()
         if self.comparison is not None:
@@ -92,7 +92,7 @@ class RecordingNotes:
         return [told, *faults, stretch_section(self.stretches), comparison_section(self.comparison)]
 
 
-def held_sentence(held: Sequence[str]) -> str:
+def held_sentence(held: Iterable[str]) -> str:
     """That joints are held while recordings are compared."""
     return f"Held where the recordings have them, as they never move there: {', '.join(held)}."
 

@@ -9,7 +9,10 @@ from arm import ARM, record
 
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.diagnosis.held_joints import hold_still_joints, release
+from idapt_pl.diagnosis.candidates import all_candidates
+from idapt_pl.diagnosis.held_joints import hold_joints, hold_still_joints, release
+from idapt_pl.effects.candidate import TypicalSizes
+from idapt_pl.effects.joints import JointFrictionloss
 
 AT = 0.7
 LOCKED = ARM.replace('<joint name="elbow" axis="0 1 0" damping="0.02"/>', "").replace(
@@ -42,7 +45,7 @@ def test_damping_of_the_shoulder_is_found_though_the_elbow_is_locked(tmp_path, v
     data = ["--model", str(tmp_path / "arm.xml"), "--data", str(tmp_path / "arm.h5"), "--out", str(out)]
     assert main(["diagnose", *data, "--quick", "--threads", "1"]) == 0
     report = json.loads((out / "report.json").read_text())
-    assert report["held_joints"] == ["elbow"]
+    assert report["held_joints"] == {"elbow": AT}
     (effect,) = report["effects"]
     assert (effect["effect"], effect["target"]) == ("joint_damping", "shoulder")
     assert effect["parameters"]["damping"]["estimate"] == pytest.approx(0.25, rel=0.05)
@@ -52,7 +55,7 @@ def test_damping_of_the_shoulder_is_found_though_the_elbow_is_locked(tmp_path, v
 
 def test_the_held_joint_stays_within_a_thousandth():
     spec = mujoco.MjSpec.from_string(ARM)
-    assert hold_still_joints(spec, with_elbow(record(LOCKED, episodes=2))) == ("elbow",)
+    assert hold_still_joints(spec, with_elbow(record(LOCKED, episodes=2))) == {"elbow": AT}
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = 1.0, AT
@@ -61,6 +64,15 @@ def test_the_held_joint_stays_within_a_thousandth():
         mujoco.mj_step(model, data)
     assert data.qpos[1] == pytest.approx(AT, abs=1e-3) and abs(data.qpos[0] - 1.0) > 0.1
     assert release(spec).compile().neq == 0
+
+
+def test_nothing_is_looked_for_on_a_joint_that_is_held():
+    spec, one = mujoco.MjSpec.from_string(ARM), np.ones(2)
+    sizes = TypicalSizes(0.02, 0.1 * one, one, 0.5 * one, 6 * one, 0.5 * one, 2 * one, 0.2)
+    assert {"elbow", "shoulder", "*"} <= {c.target for c in all_candidates(spec, sizes) if c.kind is JointFrictionloss}
+    hold_joints(spec, {"elbow": AT})
+    left = [c for c in all_candidates(spec, sizes) if c.kind.name.startswith(("joint_", "sensor_"))]
+    assert {c.target for c in left} == {"shoulder"}, "nor one value for both"
 
 
 def alone(**seen: np.ndarray) -> Trajectories:
@@ -90,4 +102,4 @@ NOT_HELD = {
 @pytest.mark.parametrize("name", NOT_HELD)
 def test_nothing_else_is_held(name):
     spec = mujoco.MjSpec.from_string(ARM)
-    assert hold_still_joints(spec, NOT_HELD[name]()) == () and spec.compile().neq == 0
+    assert hold_still_joints(spec, NOT_HELD[name]()) == {} and spec.compile().neq == 0
