@@ -261,7 +261,7 @@ class ActuatorRotation(CommandEffect):
         return [Candidate(cls, pair, ("angle",), (0.0,), (0.3,), starts=((1.57,),)) for pair in pairs]
 
 
-def narrowed(limited: int, own: np.ndarray, limit: float) -> tuple[float, float]:
+def limits_within(limited: int, own: np.ndarray, limit: float) -> tuple[float, float]:
     """Plus and minus a limit, inside a range that there is already, if there is (mjLIMITED_FALSE is 0)."""
     low, high = (-limit, limit) if not limited or own[0] >= own[1] else np.clip(own, -limit, limit)
     return float(low), float(high)
@@ -288,14 +288,14 @@ class ActuatorSaturation(CommandEffect):
 
     def constrain(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            actuator.forcerange = narrowed(actuator.forcelimited, actuator.forcerange, self.force)
+            actuator.forcerange = limits_within(actuator.forcelimited, actuator.forcerange, self.force)
             actuator.forcelimited = True
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         if self.constrains:
             self.constrain(spec)
         for actuator in find_elements(spec, "actuators", self.target) if self.limit < UNLIMITED else ():
-            actuator.ctrlrange = narrowed(actuator.ctrllimited, actuator.ctrlrange, self.limit)
+            actuator.ctrlrange = limits_within(actuator.ctrllimited, actuator.ctrlrange, self.limit)
             actuator.ctrllimited = True
 
     @classmethod
