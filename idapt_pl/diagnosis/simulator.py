@@ -16,6 +16,7 @@ from idapt_pl.diagnosis.activations import FirstActivations
 from idapt_pl.diagnosis.backlash import BacklashCoordinates
 from idapt_pl.diagnosis.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.diagnosis.held_commands import HeldCommands
+from idapt_pl.diagnosis.interpolation import interpolate_states
 from idapt_pl.diagnosis.law_history import LawsInWindows
 from idapt_pl.diagnosis.recent import RecentArrays
 from idapt_pl.effects.base import PLAY_SUFFIX, Effect
@@ -373,28 +374,3 @@ class Simulator:
 def acts_outside_model(effect: Effect) -> bool:
     """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
     return isinstance(effect, RuntimeEffect) and not effect.constrains
-
-
-def interpolate_states(model: mujoco.MjModel, states: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities at times after the first state, by cubic Hermite between steps.
-
-    Args:
-        model: the model the states belong to.
-        states: (n, steps + 1, size).
-        at: s, (n, j).
-    """
-    h, rows = model.opt.timestep, np.arange(len(states))[:, None]
-    qpos, qvel = states[..., 1 : 1 + model.nq], states[..., 1 + model.nq : 1 + model.nq + model.nv]
-    k = np.clip(np.floor(at / h + 1e-6).astype(int), 0, states.shape[1] - 1)
-    s = np.clip(at / h - k, 0.0, 1.0)[..., None]
-    if np.abs(s).max() < 1e-4:
-        return qpos[rows, k], qvel[rows, k]
-    after = np.minimum(k + 1, states.shape[1] - 1)
-    v = (1 - s) * qvel[rows, k] + s * qvel[rows, after]
-    if model.nq != model.nv:  # quaternions: the nearer step
-        nearest = np.where(s[..., 0] > 0.5, after, k)
-        return qpos[rows, nearest], v
-    q0, q1, v0, v1 = qpos[rows, k], qpos[rows, after], qvel[rows, k] * h, qvel[rows, after] * h
-    s2, s3 = s**2, s**3
-    q = (2 * s3 - 3 * s2 + 1) * q0 + (s3 - 2 * s2 + s) * v0 + (3 * s2 - 2 * s3) * q1 + (s3 - s2) * v1
-    return q, v
