@@ -241,13 +241,12 @@ def print_findings(verdict: Sequence[str], tables: Sequence[Table], out: Path, n
 def effects_tables(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> list[Table]:
     """A table with a row for each parameter of each effect; none where there are no effects."""
     table = Table(title="effects to add")
-    for title, how in (
-        ("effect", "left"), ("parameter", "left"), ("estimate", "right"), ("95 %", "right"), ("unit", "left"),
-        ("in the model", "right"), ("probable", "right"),
-    ):  # fmt: skip
-        table.add_column(title, justify=how, overflow="fold")
+    table.add_column("effect")
+    for title in ("estimate (95 %)", "in the model", "probable"):
+        table.add_column(title, justify="right", no_wrap=True)  # what gets narrow is the words
     for e in effects:
         sure = "" if e.probability is None else f"{e.probability:.0%}"
-        for cells in estimate_cells(e, model):
-            table.add_row(*map(escape, (phrase_at(*e.key), *cells, sure)))
+        for parameter, value, interval, unit, nominal in estimate_cells(e, model):
+            estimate = f"{value} {unit}".strip() + (f"\n{interval}" if interval != "-" else "")
+            table.add_row(*map(escape, (f"{phrase_at(*e.key)}: {parameter}", estimate, nominal, sure)))
     return [table] if effects else []
