@@ -121,15 +121,30 @@ def joint_ranges(model: mujoco.MjModel, margin: float) -> np.ndarray:
 
 
 def command_ranges(model: mujoco.MjModel, margin: float) -> np.ndarray:
-    """Ranges of the commands without the margin, (nu, 2); those of servos lie within their joint's."""
+    """Ranges of the commands without the margin, (nu, 2); those of servos lie within their joint's.
+
+    A motor without a ``ctrlrange`` has what its joint bears (``actuatorfrcrange``, the effort limit of a URDF).
+    """
     out, joints = np.tile([-np.inf, np.inf], (model.nu, 1)), joint_ranges(model, margin)
     for i in range(model.nu):
-        if model.actuator_ctrllimited[i]:
-            low, high = model.actuator_ctrlrange[i]
+        span = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else effort_range(model, i)
+        if span is not None:
+            low, high = span
             out[i] = low + margin * (high - low), high - margin * (high - low)
         if (v := servo_dof(model, i)) is not None:
             out[i] = max(out[i, 0], joints[v, 0]), min(out[i, 1], joints[v, 1])
     return out
+
+
+def effort_range(model: mujoco.MjModel, actuator: int) -> np.ndarray | None:
+    """Commands of a motor with which its joint gets as much as it bears, (2,); None where that is not said."""
+    joint, bias = int(model.actuator_trnid[actuator, 0]), model.actuator_biasprm[actuator, :3]
+    factor = model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0]
+    on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    linear = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED and not bias.any() and factor
+    if not on_joint or not linear or not model.jnt_actfrclimited[joint]:
+        return None
+    return np.sort(model.jnt_actfrcrange[joint] / factor)
 
 
 def force_ranges(model: mujoco.MjModel) -> np.ndarray:

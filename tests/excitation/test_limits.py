@@ -46,6 +46,16 @@ def test_a_motor_without_a_range_needs_one():
         limits_of(compiled(RAIL[: RAIL.index("<actuator>")] + "</mujoco>"))
 
 
+def test_a_motor_without_a_range_has_what_its_joint_bears():
+    bears = RAIL.replace(' ctrlrange="-1 1" ctrllimited="true"', "")
+    bears = bears.replace(
+        '<joint name="rail"', '<joint name="rail" actuatorfrcrange="-20 30" actuatorfrclimited="true"'
+    )
+    assert limits_of(compiled(bears), margin=0.1).command[0].tolist() == pytest.approx(
+        [-1.5, 2.5]
+    )  # of -2 to 3: gear 10
+
+
 def test_only_servos_command_positions():
     assert servo_dof(compiled(), 0) == 0 and servo_dof(compiled(RAIL), 0) is None
 
