@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
@@ -24,6 +26,16 @@ class HelpWithExamples(Help, argparse.RawDescriptionHelpFormatter):
     """Leaves the lines of the description and the examples as they are."""
 
 
+class SuggestingParser(argparse.ArgumentParser):
+    """Says which option may have been meant."""
+
+    def error(self, message: str) -> NoReturn:
+        if found := re.fullmatch(r"unrecognized arguments: (--[\w-]+).*", message):
+            if near := get_close_matches(found[1], list(self._option_string_actions), 1):
+                message += f"; did you mean {near[0]}?"
+        super().error(message)
+
+
 def parser(command: str, description: str, examples: str = "") -> argparse.ArgumentParser:
     """A parser for ``idapt <command>`` that shows defaults.
 
@@ -32,7 +44,7 @@ def parser(command: str, description: str, examples: str = "") -> argparse.Argum
         description: what it does.
         examples: shown at the end; with them, lines stay as they are written.
     """
-    return argparse.ArgumentParser(
+    return SuggestingParser(
         prog=f"idapt {command}",
         description=description,
         epilog=examples,

@@ -265,3 +265,9 @@ def test_evaluate_reports_every_policy_of_a_run_and_leaves_the_methods_total_alo
         assert len(returns["target"]["returns"]) == 2
     after = json.loads((folder / "ledger.json").read_text())
     assert after["training_total"] == before["training_total"] and len(after["entries"]) > len(before["entries"])
+
+
+def test_an_option_that_is_misspelt_is_guessed(capsys):
+    with pytest.raises(SystemExit):
+        main(["excite", "--model", "m.xml", "--report", "r", "--out", "o.csv", "--sede", "1"])
+    assert "unrecognized arguments: --sede 1; did you mean --seed?" in capsys.readouterr().err
