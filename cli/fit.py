@@ -70,9 +70,8 @@ class GroundingCLI(LightningCLI):
     def instantiate_classes(self) -> None:
         self.config.trainer.devices = one_device(self.config.trainer)
         fill_lengths(self.config.schedule, self.config.task, self.config.target)
-        short = self.config.shorten != 1
-        shorten(self.config)
-        if short and self.config.run_dir is None:
+        self.shortened_by = shorten(self.config)
+        if self.shortened_by != 1 and self.config.run_dir is None:
             self.config.run_dir = usual_folder(self.config.task, self.config.target, self.config.seed) + "_short"
         fill_known(self.config.effects)
         fill_ranges(self.config.randomisation, self.config.task)
@@ -159,7 +158,7 @@ def main(args: list[str]) -> int:
     run = cli.run()
     method = run.method  # settings that contradict each other end it here, where nothing is written yet
     with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
-        write_provenance(cli.parser, cli.config, run.folder)
+        write_provenance(cli.parser, cli.config, run.folder, cli.shortened_by)
         keep_known_effects(run)
         beside = isinstance(run.aside, OtherProcesses)
         if run.config.method == "idapt":

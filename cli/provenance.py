@@ -20,6 +20,7 @@ from idapt_pl.files import write_bytes, write_json
 from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.rendering.make import filament_is_used
 from idapt_pl.run_folder.kept_config import changed_keys, filled, read_kept_config, read_run_json, without_retired
+from idapt_pl.stages.shortened import other_keys
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
 
@@ -50,10 +51,16 @@ AT_ONCE = ("config.yaml", "run.json", "ledger.json")
 """What a run folder has before any stage of it."""
 
 
-def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -> None:
+def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path, divided_by: float = 1.0) -> None:
     """Write ``config.yaml`` (complete, re-runnable) and ``run.json``; a resumed run must have the same config.
 
     ``run.json`` says what the run was started with; every later start is added to its list ``resumed``.
+
+    Args:
+        parser: what the config was parsed by.
+        config: of the run, its lengths already shortened.
+        run_dir: its folder.
+        divided_by: what ``--shorten`` divided those lengths by; a folder whose config is the same knows it better.
 
     Raises:
         ValueError: if the folder holds a run with another config, or a file of it is damaged.
@@ -62,13 +69,17 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
     path, kept, asked = run_dir / "config.yaml", read_kept_config(run_dir), yaml.safe_load(text)
     # a run that was refused before anything was done may be corrected
     begun = any(p.name not in AT_ONCE and not p.name.startswith(".") for p in run_dir.glob("*"))
-    if kept is not None and begun:
+    if kept is not None:
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
-        if different := changed_keys(filled(without_retired(kept), defaults), asked):
+        before = read_run_json(run_dir).get("shortened_by", divided_by)
+        different = changed_keys(filled(without_retired(kept), defaults), asked)
+        if different and begun:
+            named = ", ".join(other_keys(different, before, divided_by))
             raise ValueError(
-                f"{run_dir} holds a run with another config ({', '.join(different)} differ). "
+                f"{run_dir} holds a run with another config ({named} differ). "
                 f"Choose another --run_dir, or resume with --config {path}."
             )
+        divided_by = divided_by if different else before
     first = read_run_json(run_dir) if begun else {}
     write_bytes(path, text.encode())
     now = {
@@ -85,7 +96,8 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path) -
         "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
     }
     told = first | {"resumed": [*first.get("resumed", []), now]} if first else now
-    write_json(run_dir / "run.json", told | {"config": asked}, checked=True)
+    short = {} if divided_by == 1 else {"shortened_by": divided_by}
+    write_json(run_dir / "run.json", told | short | {"config": asked}, checked=True)
 
 
 def git_commit() -> str | None:

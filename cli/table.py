@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from idapt_pl.report.run_wording import format_score
+from idapt_pl.stages.shortened import shortened_sentence
 
 NAMES = {"idapt": "IDAPT", "cc_state": "CC-State", "cc_image": "CC-Image"}
 """Of the methods that have grounding steps, as the paper has them."""
@@ -28,6 +29,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
         table.add_row(name, value)
     console = Console()
     console.print(table)
+    if worth := shortened_sentence(summary["shortened_by"]):
+        console.print(worth)
     console.print(
         f"target interactions used: {summary['target_interactions']}   time: {summary['wall_s'] / 60:.1f} min"
     )

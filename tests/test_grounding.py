@@ -607,7 +607,9 @@ def test_a_shortened_config_keeps_every_stage_that_it_has_and_gets_a_folder_of_i
     options = {"image_size": 32, "vision.crop": 28, "render_processes": 0, "effects.discover": "false", "episodes": 2}
     options |= {"visual.width": 4, "visual.blocks": 1, "trainer.accelerator": "cpu", "schedule.until_settled": "false"}
     arguments = ["--config", "configs/pendulum_quick.yaml", *(f"--{k}={v}" for k, v in options.items())]
-    config = GroundingCLI([*with_shipped_configs(arguments), "--shorten=1000"]).config
+    cli = GroundingCLI([*with_shipped_configs(arguments), "--shorten=1000"])
+    config = cli.config
+    assert cli.shortened_by == 1000
     assert (
         config.schedule.pretrain.visual == 20 and config.schedule.images == 300 and config.schedule.grounding_steps == 1
     )

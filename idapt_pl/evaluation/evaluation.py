@@ -18,6 +18,7 @@ from idapt_pl.rl.policy import Policy, deterministic
 from idapt_pl.rl.returns import EpisodeOutcome, Watch, evaluate
 from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
+from idapt_pl.run_folder.kept_config import shortened_by
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.run_folder.results import effect_files
 from idapt_pl.stage import Stages
@@ -234,6 +235,7 @@ class Evaluation:
             "target": self.target_name,
             "seed": self.stages.seed,
             "method": self.method,
+            "shortened_by": shortened_by(self.stages.run_dir),
             "metric": self.worlds.task.metric,
             "episodes": self.episodes,
             "result": last,

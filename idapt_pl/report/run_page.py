@@ -28,10 +28,11 @@ from idapt_pl.report.run_record import RunRecord, read_run_record
 from idapt_pl.report.run_step import step_section
 from idapt_pl.report.run_wording import format_result, format_score, step_name
 from idapt_pl.run import Run
+from idapt_pl.stages.shortened import shortened_sentence
 from idapt_pl.targets import target_name
 
-ROLLED_BACK_CSS = "section.rolled { border-left: 6px solid #b4452c; }\n"
-"""Marks steps whose F was rolled back."""
+MARKED_CSS = "section.rolled, section.shortened { border-left: 6px solid #b4452c; }\n"
+"""Marks steps whose F was rolled back, and what is said of a run that was shortened."""
 
 
 def write_run_report(run: Run, path: Path | None = None) -> Path:
@@ -45,13 +46,19 @@ def write_run_report(run: Run, path: Path | None = None) -> Path:
 def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
     metric = run.worlds.task.metric
-    parts = [outcome_header(record, metric), missing_section(record), known_section(record)]
+    parts = [shortened_section(record), outcome_header(record, metric), missing_section(record), known_section(record)]
     parts.append(returns_section(record, metric))
     steps = () if record.stepless else record.steps
     parts += [step_section(record, step, metric, run) for step in steps]
     parts += [times_section(record), ledger_section(record), run_settings_section(record)]
     title = f"{record.config['task']}: source to {target_name(record.config['target'])}, seed {record.config['seed']}"
-    return document(title, parts, TONE, ROLLED_BACK_CSS)
+    return document(title, parts, TONE, MARKED_CSS)
+
+
+def shortened_section(record: RunRecord) -> str:
+    """What a run whose lengths were divided is worth; nothing where they were not."""
+    said = shortened_sentence(record.provenance.get("shortened_by", 1.0))
+    return section("A shortened run", paragraph(f"{said.capitalize()}.", "lead"), kind="shortened") if said else ""
 
 
 def outcome_header(record: RunRecord, metric: str) -> str:

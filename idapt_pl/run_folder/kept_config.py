@@ -33,6 +33,15 @@ def read_run_json(folder: Path) -> dict:
     return read_json(path, cure=cure) if path.exists() else {}
 
 
+def shortened_by(folder: Path) -> float:
+    """What the lengths of a run were divided by when it was started; 1 where its ``run.json`` says nothing of it.
+
+    Raises:
+        DamagedFile: if it cannot be read.
+    """
+    return read_run_json(folder).get("shortened_by", 1.0)
+
+
 def read_kept_config(folder: Path) -> dict | None:
     """The config of a run folder; a lost ``config.yaml`` comes back from ``run.json``. None if there is neither.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from idapt_pl.ranges import Range, check_ranges
@@ -22,11 +23,14 @@ AT_LEAST = {
 """How long whatever a config has stays at least; what it has not is not begun."""
 
 
-def shorten(config: Any) -> None:
-    """Divide what a run's stages are long by ``shorten``, changed in place; it is 1 then, as numbers say it all.
+def shorten(config: Any) -> float:
+    """Divide what a run's stages are long by ``shorten``, changed in place; it is 1 then: a resumed run is not again.
 
     Args:
         config: what a parser made of a run's options, its null lengths filled.
+
+    Returns:
+        What they were divided by, which ``run.json`` keeps.
 
     Raises:
         ValueError: if it is less than 1, or too large to mean anything.
@@ -34,9 +38,29 @@ def shorten(config: Any) -> None:
     by = config["shorten"]
     check_ranges("", {"shorten": by}, {"shorten": Range(1, 1e4)})
     if by == 1:
-        return
+        return by
     for key, least in AT_LEAST.items():
         if number := config[key]:
             config[key] = max(min(number, least), round(number / by))
     config["schedule.grounding_steps"] = min(1, config["schedule.grounding_steps"])
     config["shorten"] = 1.0
+    return by
+
+
+def other_keys(different: Sequence[str], was: float, now: float) -> list[str]:
+    """Keys in which two configs differ, with ``--shorten`` in place of the lengths that it divides.
+
+    Args:
+        different: dotted keys.
+        was: what the lengths of the one were divided by.
+        now: likewise, of the other.
+    """
+    if was == now:
+        return list(different)
+    lengths = {*AT_LEAST, "schedule.grounding_steps"}
+    return [f"--shorten {was:g} against {now:g}", *(key for key in different if key not in lengths)]
+
+
+def shortened_sentence(by: float) -> str:
+    """What a run whose lengths were divided is worth; empty where they were not."""
+    return "" if by == 1 else f"lengths divided by {by:g}: this shows that it runs, not what it can reach"

@@ -3,8 +3,10 @@
 import subprocess
 
 import pytest
+from jsonargparse import ArgumentParser, Namespace
 
 from cli import provenance
+from idapt_pl.files import read_json
 
 
 @pytest.fixture
@@ -37,3 +39,34 @@ def test_a_new_file_is_a_change(checkout):
 def test_outside_a_checkout_there_is_no_commit(tmp_path, monkeypatch):
     monkeypatch.setattr(provenance, "__file__", str(tmp_path / "cli/code.py"))
     assert provenance.git_commit() is None
+
+
+def started(run, policy, divided_by, seed=0):
+    """``run.json`` after a start with a length as it is once it is shortened."""
+    parser = ArgumentParser()
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--schedule.finetune.policy", type=int, default=4000)
+    config = parser.parse_object({"seed": seed, "schedule": {"finetune": {"policy": policy}}})
+    provenance.write_provenance(parser, Namespace(config), run, divided_by)
+    return read_json(run / "run.json")
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_what_lengths_were_divided_by_stays_known_in_resumed_runs(tmp_path, begun):
+    assert started(tmp_path, 40, 100.0)["shortened_by"] == 100
+    if begun:
+        (tmp_path / "step_00").mkdir()
+    assert started(tmp_path, 40, 1.0)["shortened_by"] == 100, "config.yaml has the lengths, but no factor"
+    assert started(tmp_path, 40, 100.0)["shortened_by"] == 100
+
+
+def test_a_folder_in_which_nothing_was_done_forgets_the_shortened_run(tmp_path):
+    started(tmp_path, 40, 100.0)
+    assert "shortened_by" not in started(tmp_path, 4000, 1.0)
+
+
+def test_another_shortening_is_refused_by_the_option_that_was_typed(tmp_path):
+    started(tmp_path, 20, 200.0)
+    (tmp_path / "step_00").mkdir()
+    with pytest.raises(ValueError, match=r"another config \(--shorten 200 against 100, seed differ\)"):
+        started(tmp_path, 40, 100.0, seed=1)

@@ -1,6 +1,10 @@
 """The table that a run ends with calls policies by their method, and scores by what they are."""
 
-from cli.table import measured_policies
+from pathlib import Path
+
+import pytest
+
+from cli.table import measured_policies, print_summary
 
 SUMMARY = {"direct_transfer": 0.25, "visual_only": 0.85, "grounded": [0.95, None], "effects": [], "settled": None}
 
@@ -15,3 +19,12 @@ def test_another_methods_steps_have_its_name():
     rows = dict(measured_policies(SUMMARY | {"metric": "return", "method": "cc_image", "oracle": None}))
     assert "CC-Image, grounding step 2" in rows and not any("IDAPT" in name for name in rows)
     assert rows["oracle"] == "not run (--oracle true)"
+
+
+@pytest.mark.parametrize("by", [1.0, 200.0])
+def test_a_shortened_run_ends_with_what_it_is_worth(by, capsys):
+    told = {"metric": "return", "method": "idapt", "oracle": None, "task": "cart", "target": "hard", "seed": 0}
+    told |= {"episodes": 2, "target_interactions": 9, "wall_s": 60.0, "rolled_back": [], "shortened_by": by}
+    print_summary(SUMMARY | told, Path("run"), Path("run/report.html"))
+    said = "lengths divided by 200: this shows that it runs, not what it can reach" in capsys.readouterr().out
+    assert said == (by != 1)

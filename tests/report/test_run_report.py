@@ -134,6 +134,14 @@ def test_how_actions_are_told_to_a_target_of_ones_own_is_told(copied):
     assert "the target's actions are the source's with scale [0.5], offset 0.1" in report(copied).text
 
 
+def test_a_shortened_run_says_first_of_all_what_it_is_worth(copied):
+    assert "divided" not in report(copied).text
+    write_json(copied / "run.json", read_json(copied / "run.json") | {"shortened_by": 200.0}, checked=True)
+    text = report(copied).text
+    said = text.index("Lengths divided by 200: this shows that it runs, not what it can reach.")
+    assert said < text.index("in the target:")
+
+
 def test_damaged_files_are_named_and_the_rest_is_told(copied):
     (copied / "step_01/evaluation.json").write_text('{"target": ')
     (copied / "step_00/target.h5").write_bytes(b"not an HDF5 file")
