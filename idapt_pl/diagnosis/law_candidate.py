@@ -33,6 +33,12 @@ class LawCandidate(Candidate):
         return f"{self.kind.name}({self.target}: {self.formula})"
 
     @property
+    def in_model(self) -> tuple[float | None, ...]:
+        """No amplitude is in the model, and where or how a law acts is nowhere: its fit began at a guess."""
+        at = amplitude_places(self.terms)
+        return tuple(0.0 if k in at else None for k in range(self.size))
+
+    @property
     def known(self) -> bool:
         """Whether the library has such an effect, which was tried and refused before."""
         return len(self.terms) == 1 and self.of_known_parts

@@ -32,13 +32,13 @@ class ParameterEstimate:
     """A parameter of an effect.
 
     Attributes:
-        nominal: in the nominal model; a word where the parameter is no number.
+        nominal: in the nominal model; a word where the parameter is no number, None where the model has none.
         estimate: from the recordings.
         ci95: 95 % interval; None where there is none.
         unit: of the three.
     """
 
-    nominal: float | str
+    nominal: float | str | None
     estimate: float | str
     ci95: tuple[float, float] | None
     unit: str

@@ -127,20 +127,10 @@ def estimate_of(
     """One accepted effect."""
     held_out, c = state.windows.held_out, a.candidate
     error, without = (context.loss(held_out, s.effects).mean() for s in (state, state.without(a)))
-    assert a.interval is not None, "intervals are measured at the end of a search"
-    columns = zip(c.names, c.nominal, a.x, a.interval, c.units(), strict=True)
     return EffectEstimate(
         effect=c.kind.name,
         target=c.target,
-        parameters={
-            name: ParameterEstimate(
-                significant(nominal, 6),
-                significant(value, 6),
-                (significant(low, 6), significant(high, 6)),
-                unit_at(context.sim.model, c.target, unit),
-            )
-            for name, nominal, value, (low, high), unit in columns
-        },
+        parameters=parameter_estimates(context.sim.model, a),
         fixed=dict(c.fixed),
         error_after=round(float(np.sqrt(error)), 4),
         error_without=round(float(np.sqrt(without)), 4),
@@ -148,6 +138,22 @@ def estimate_of(
         implausible=a.implausible,
         probability=probability,
     )
+
+
+def parameter_estimates(model: mujoco.MjModel, a: AcceptedEffect) -> dict[str, ParameterEstimate]:
+    """Those of an accepted effect by name, to six digits; ``model`` tells in which units."""
+    assert a.interval is not None, "intervals are measured at the end of a search"
+    c = a.candidate
+    columns = zip(c.names, c.in_model, a.x, a.interval, c.units(), strict=True)
+    return {
+        name: ParameterEstimate(
+            None if nominal is None else significant(nominal, 6),
+            significant(value, 6),
+            (significant(low, 6), significant(high, 6)),
+            unit_at(model, c.target, unit),
+        )
+        for name, nominal, value, (low, high), unit in columns
+    }
 
 
 def alternative(t: Trial) -> Alternative:

@@ -50,6 +50,11 @@ class Candidate:
         return f"{self.kind.name}({self.target})"
 
     @property
+    def in_model(self) -> tuple[float | None, ...]:
+        """Values of the parameters in the nominal model; None of one that it does not have."""
+        return self.nominal
+
+    @property
     def size(self) -> int:
         """Number of free parameters."""
         return len(self.names)

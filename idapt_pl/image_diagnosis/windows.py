@@ -158,7 +158,7 @@ def is_sensor_error(estimate: EffectEstimate, found_in_control: Sequence[EffectE
     """Whether an effect is found in the control too, and half as much of it at least."""
 
     def change(e: EffectEstimate) -> float:
-        return max(abs(float(p.estimate) - float(p.nominal)) for p in e.parameters.values())
+        return max(abs(float(p.estimate) - float(p.nominal or 0.0)) for p in e.parameters.values())
 
     return any(change(e) > 0.5 * change(estimate) for e in found_in_control if e.key == estimate.key)
 
@@ -170,7 +170,7 @@ def is_within_noise(estimate: EffectEstimate, before: float) -> bool:
     what the sensor's noise alone makes. Above it, one effect may hide how sure another is.
     """
     return before < 1 and all(
-        p.ci95 is not None and not isinstance(p.nominal, str) and p.ci95[0] < p.nominal < p.ci95[1]
+        p.ci95 is not None and isinstance(p.nominal, int | float) and p.ci95[0] < p.nominal < p.ci95[1]
         for p in estimate.parameters.values()
     )
 

@@ -16,9 +16,8 @@ from idapt_pl.diagnosis.force_windows import judged_by_forces
 from idapt_pl.diagnosis.measurement import with_interval
 from idapt_pl.diagnosis.result import ParameterEstimate
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.summary import significant
+from idapt_pl.diagnosis.summary import parameter_estimates
 from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
-from idapt_pl.effects.wording import unit_at
 from idapt_pl.estimation.intervals import clusters_of, covariance
 from idapt_pl.recording_sets.join import RecordingSet
 from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
@@ -94,14 +93,9 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
     half = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0)) * scale
     halves = split_parameters(state.candidates, half)
     timestep, values = sim.compile(state.fixed).opt.timestep, dict[SetValue, ParameterEstimate]()
-    for a, x, h in zip(state.with_estimates(fit.x).accepted, fit.x, halves, strict=True):
-        c, interval = a.candidate, with_interval(a, h, timestep).interval
-        assert interval is not None
-        for name, nominal, v, (low, high), unit in zip(c.names, c.nominal, x, interval, c.units(), strict=True):
-            values[c.kind.name, c.target, name] = ParameterEstimate(
-                significant(nominal, 6), significant(v, 6), (significant(low, 6), significant(high, 6)),
-                unit_at(sim.model, c.target, unit),
-            )  # fmt: skip
+    for a, h in zip(state.with_estimates(fit.x).accepted, halves, strict=True):
+        own_values = parameter_estimates(sim.model, with_interval(a, h, timestep))
+        values |= {(a.candidate.kind.name, a.candidate.target, name): p for name, p in own_values.items()}
     return OwnFit(np.concatenate(fit.x), half, SetResult(recordings, before, common, own, values))
 
 

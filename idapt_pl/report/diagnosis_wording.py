@@ -169,7 +169,7 @@ def gain_sentence(result: DiagnosisResult) -> str:
 def lacking_sentence(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> str:
     """What was found, as a sentence."""
     listed = "; ".join(effect_sentence(e, model) for e in effects)
-    new = all(p.nominal == 0 for e in effects for p in e.parameters.values())
+    new = all(p.nominal in (0, None) for e in effects for p in e.parameters.values())
     what = ("effect" if new else "change") + "s" * (len(effects) > 1)
     how_many = "one" if len(effects) == 1 else str(len(effects))
     return f"The model {'lacks' if new else 'needs'} {how_many} {what}: {listed}."
@@ -184,7 +184,7 @@ def effect_sentence(effect: EffectEstimate, model: mujoco.MjModel) -> str:
         words = f"{name} {value}" if several else value
         words += f" {unit}" if unit not in ("", "1") else ""
         words += f" (95 %: {interval})" if interval else ""
-        words += f" instead of {nominal_in_words(p)}" if p.nominal not in (0, p.estimate) else ""
+        words += f" instead of {nominal_in_words(p)}" if p.nominal not in (0, None, p.estimate) else ""
         parts.append(words)
     return f"{phrase_at(*effect.key)}, {', '.join(parts)}"
 
@@ -228,7 +228,9 @@ def estimate_cells(effect: EffectEstimate, model: mujoco.MjModel) -> list[tuple[
 
 
 def nominal_in_words(p: ParameterEstimate) -> str:
-    """What a parameter is in the model."""
+    """What a parameter is in the model; "-" where that has none."""
+    if p.nominal is None:
+        return "-"
     return p.nominal if isinstance(p.nominal, str) else format_number(p.nominal)
 
 

@@ -18,6 +18,8 @@ from idapt_pl.diagnosis.law_search import laws_of, search_laws
 from idapt_pl.diagnosis.law_terms import JointSizes, Term, dictionary, term_units, write_law
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.search_state import AcceptedEffect
+from idapt_pl.diagnosis.summary import parameter_estimates
 from idapt_pl.effects.acting import ActingForces
 from idapt_pl.effects.expression import parse_expression
 from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
@@ -173,6 +175,16 @@ def test_a_diagnosis_reports_a_law_and_leaves_it_out_on_request():
     assert diagnosis.verdict.value == "unexplained_residual" and laws["found"][0]["depends_on"] == ["q", "u"]
     assert any(isinstance(e, LearnedForce) for e in diagnosis.effects)
     assert "laws" not in diagnose(spec, data, threads=1, laws=False).report
+
+
+def test_only_the_amplitudes_of_a_law_are_said_to_be_zero_in_the_model():
+    terms = [Term("A*sin(P*q) + B*cos(P*q)", "", (2.36,), ("/q",))]
+    candidate, start = law_candidate(SIZES, terms, np.array([0.3, 0.1]), np.array([0.01, 0.01]))
+    law = AcceptedEffect(0, candidate, start, interval=np.stack([start - 1, start + 1], 1))
+    told = parameter_estimates(mujoco.MjModel.from_xml_string(PENDULUM), law)
+    assert [p.nominal for p in told.values()] == [0.0, 0.0, None], "where its fit began is no number of the model"
+    assert [p.estimate for p in told.values()] == [0.3, 0.1, 2.36]
+    assert candidate.nominal == (0.0, 0.0, 2.36)
 
 
 def test_coefficients_stay_within_what_a_law_can_have_however_weak_its_terms_are():

@@ -31,7 +31,13 @@ from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.report.changed_settings import span
 from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.report.diagnosis_wording import episode_list, headline, rest_explained_by, verdict_in_words
+from idapt_pl.report.diagnosis_wording import (
+    episode_list,
+    estimate_cells,
+    headline,
+    rest_explained_by,
+    verdict_in_words,
+)
 
 NOMINAL, HIDDEN = 0.01, 0.06
 
@@ -339,6 +345,22 @@ FINER = EffectEstimate("numerics", "world", {"timestep": ParameterEstimate(0.002
 def test_every_verdict_has_its_sentence(verdict, effects, words):
     swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
     assert words in " ".join(verdict_in_words(made_result(verdict, effects), swing))
+
+
+LAW = EffectEstimate(
+    "learned_force", "shoulder", {
+        "a": ParameterEstimate(0.0, 0.5, (0.4, 0.6), "N·m"), "b": ParameterEstimate(None, 2.35, (2.3, 2.4), "1/rad"),
+    },
+)  # fmt: skip
+
+
+def test_what_a_model_has_no_number_for_is_a_dash_and_instead_of_nothing():
+    swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
+    said = " ".join(verdict_in_words(made_result("effects_found", [LAW]), swing))
+    assert "The model lacks one effect" in said and "b 2.35" in said
+    assert "instead of" not in said
+    assert [cells[-1] for cells in estimate_cells(LAW, swing)] == ["0", "-"]
+    assert EffectEstimate.from_dict(json.loads(json.dumps(LAW.to_dict()))) == LAW
 
 
 def test_a_quick_look_does_not_say_that_nothing_known_explains_the_rest():
