@@ -7,14 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from idapt_pl.diagnosis.candidates import typical_sizes
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.law_candidate import LawCandidate
 from idapt_pl.diagnosis.law_places import ResidualPlace
+from idapt_pl.diagnosis.law_response import measured_signals_of, term_values
 from idapt_pl.diagnosis.law_search import LawSearch, laws_of
 from idapt_pl.diagnosis.result import ParameterEstimate
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
-from idapt_pl.diagnosis.summary import estimate_of
+from idapt_pl.diagnosis.summary import estimate_of, significant
 from idapt_pl.effects.wording import format_number
+
+NEGLIGIBLE = 0.01
+"""Share of the usual force at a joint below which the largest force of a law is said with the details alone."""
 
 MOST_OTHERS = 4
 """Other formulas that a report lists."""
@@ -33,6 +40,9 @@ class LawFinding:
         depends: signals that it depends on; ``history`` where it remembers.
         share: of what was above the noise floor before it that it removes, held out, with what it makes needless gone.
         others: formulas that were fitted too, with the error that they leave.
+        largest: force that it comes to in the recordings, in ``unit``.
+        largest_share: the same, as a share of the motor's usual (rms) one there; of a joint without a motor, of what
+            would stop it within a forecast.
     """
 
     joint: str
@@ -43,6 +53,13 @@ class LawFinding:
     depends: tuple[str, ...]
     share: float
     others: Sequence[tuple[str, str, float]]
+    largest: float
+    largest_share: float
+
+    @property
+    def negligible(self) -> bool:
+        """Whether it is too weak to be worth a headline, however surely it is there."""
+        return self.largest_share < NEGLIGIBLE
 
     def to_dict(self) -> dict[str, Any]:
         """As in ``report.json``."""
@@ -54,6 +71,8 @@ class LawFinding:
             "coefficients": {k: p.to_dict() for k, p in self.parameters.items()},
             "depends_on": list(self.depends),
             "removed_share": self.share,
+            "largest_force": self.largest,
+            "largest_share_of_usual": self.largest_share,
             "others": [{"joint": j, "expression": text, "error": error} for j, text, error in self.others],
         }
 
@@ -143,6 +162,7 @@ def finding(context: SearchContext, search: LawSearch, a: AcceptedEffect) -> Law
     without = held_out_error(context, search.state.without(a), search.state)
     with_it = held_out_error(context, search.state, search.state)
     others = search.others.get(candidate.label, [])[:MOST_OTHERS]
+    largest, usual = largest_and_usual_force(context, search.state, a)
     return LawFinding(
         joint=candidate.target,
         expression=candidate.formula,
@@ -152,7 +172,22 @@ def finding(context: SearchContext, search: LawSearch, a: AcceptedEffect) -> Law
         depends=depends_on(candidate),
         share=round((without**2 - with_it**2) / max(without**2 - 1.0, 1e-9), 4),
         others=[(f.candidate.target, f.candidate.formula, round(float(f.losses.mean()) ** 0.5, 4)) for f in others],
+        largest=significant(largest, 3),
+        largest_share=significant(largest / usual, 3),
     )
+
+
+def largest_and_usual_force(context: SearchContext, state: SearchState, a: AcceptedEffect) -> tuple[float, float]:
+    """The largest force of a law in the fitted windows, and what acts on its joint there usually, N·m or N."""
+    model, windows, candidate = context.sim.model, state.windows.fit.windows, a.candidate
+    assert isinstance(candidate, LawCandidate), "it is of a law"
+    (seen,) = measured_signals_of(context, windows, [model.joint(candidate.target).id])
+    values = dict(zip(candidate.names, a.x, strict=True))
+    formula = re.sub(r"\b[a-h]\b", lambda letter: f"({values[letter[0]]:.9g})", candidate.formula)
+    motor = float(np.sqrt(np.square(seen.now["motor"]).mean()))
+    torque = typical_sizes(model, list(context.sim.data), context.horizon).torque
+    usual = motor or float(torque[model.joint(candidate.target).dofadr[0]])
+    return float(np.abs(term_values(context, windows, seen, formula)).max()), max(usual, 1e-12)
 
 
 def depends_on(candidate: LawCandidate) -> tuple[str, ...]:

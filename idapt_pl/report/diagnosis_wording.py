@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import mujoco
 import numpy as np
 
+from idapt_pl.diagnosis.law_result import LawReport
 from idapt_pl.diagnosis.result import (
     ChannelError,
     DiagnosisResult,
@@ -18,6 +20,7 @@ from idapt_pl.diagnosis.result import (
 )
 from idapt_pl.effects.learned import LearnedForce
 from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
+from idapt_pl.report.law_section import law_size
 
 HEADLINES = {
     Verdict.EFFECTS_FOUND: "Found what the model lacks",
@@ -51,7 +54,8 @@ def rest_explained_by(result: DiagnosisResult) -> Literal["law", "change", ""]:
     """What explains what is left by known effects that stay the same: a law of force, a change; or nothing does."""
     if result.verdict is not Verdict.UNEXPLAINED_RESIDUAL:
         return ""
-    if result.laws is not None and result.laws.found and result.laws.after < GOOD_ENOUGH:
+    laws = without_negligible_laws(result).laws
+    if laws is not None and laws.found and laws.after < GOOD_ENOUGH:
         return "law"
     changing = result.changes.found if result.changes is not None else ()
     return "change" if any(f.removed_share >= CHANGE_EXPLAINS for f in changing) else ""
@@ -70,8 +74,28 @@ def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str
         Verdict.UNEXPLAINED_RESIDUAL: unexplained_sentences,
         Verdict.INSUFFICIENT_EXCITATION: quiet_sentences,
     }
+    result = without_negligible_laws(result)
     said = [*makers[result.verdict](result, model), *judged_by_force_sentences(result)]
     return [*said, *undecided_sentences(result.effects), *implausible_sentences(result)]
+
+
+def without_negligible_laws(result: DiagnosisResult) -> DiagnosisResult:
+    """The result without laws that are too weak for a headline; what is said of laws alone names them."""
+    laws = result.laws
+    weak = [(f.joint, f.expression) for f in laws.found if f.negligible] if laws is not None else []
+    if laws is None or not weak:
+        return result
+    effects = [e for e in result.effects if (e.target, e.fixed.get("expression")) not in weak]
+    found = [f for f in laws.found if (f.joint, f.expression) not in weak]
+    return replace(result, effects=effects, laws=replace(laws, found=found))
+
+
+def size_in_words(laws: LawReport | None, e: EffectEstimate) -> str:
+    """How strong an effect is that is a law, with a comma in front; empty of others."""
+    found = laws.found if laws is not None else ()
+    return "".join(
+        f", {law_size(f)}" for f in found if (f.joint, f.expression) == (e.target, e.fixed.get("expression"))
+    )
 
 
 def judged_by_force_sentences(result: DiagnosisResult) -> list[str]:
@@ -91,7 +115,7 @@ def judged_by_force_sentences(result: DiagnosisResult) -> list[str]:
 
 def found_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
     """What the model lacks, and what adding it gains."""
-    return [lacking_sentence(result.effects, model), gain_sentence(result)]
+    return [lacking_sentence(result.effects, model, result.laws), gain_sentence(result)]
 
 
 def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]:
@@ -137,10 +161,11 @@ def with_law_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[s
     laws, known = result.laws, [e for e in result.effects if e.effect != LearnedForce.name]
     assert laws is not None, "only where a law was found"
     beside = f" Beside it: {'; '.join(effect_sentence(e, model) for e in known)}." if known else ""
+    sizes = "; ".join(f"on joint {f.joint} {law_size(f)}" for f in laws.found)
     return [
-        "The model lacks something that no known effect explains. A law of force was learned for it: the error falls "
-        f"from {format_number(laws.before)} to {format_number(laws.after)} times the measurement noise on episodes not "
-        f"used for fitting.{beside}"
+        f"The model lacks something that no known effect explains. A law of force was learned for it ({sizes}): the "
+        f"error falls from {format_number(laws.before)} to {format_number(laws.after)} times the measurement noise on "
+        f"episodes not used for fitting.{beside}"
     ]
 
 
@@ -166,9 +191,9 @@ def gain_sentence(result: DiagnosisResult) -> str:
 # --- effects --------------------------------------------------------------------------------------------
 
 
-def lacking_sentence(effects: Sequence[EffectEstimate], model: mujoco.MjModel) -> str:
-    """What was found, as a sentence."""
-    listed = "; ".join(effect_sentence(e, model) for e in effects)
+def lacking_sentence(effects: Sequence[EffectEstimate], model: mujoco.MjModel, laws: LawReport | None = None) -> str:
+    """What was found, as a sentence; ``laws`` are those among it."""
+    listed = "; ".join(effect_sentence(e, model) + size_in_words(laws, e) for e in effects)
     new = all(p.nominal in (0, None) for e in effects for p in e.parameters.values())
     what = ("effect" if new else "change") + "s" * (len(effects) > 1)
     how_many = "one" if len(effects) == 1 else str(len(effects))

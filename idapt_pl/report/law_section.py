@@ -36,10 +36,18 @@ def law_sentences(laws: LawReport | None) -> list[str]:
 
 def law_sentence(f: LawFinding) -> str:
     """One law."""
+    little = " That is next to nothing, so it is said here alone." if f.negligible else ""
     return (
-        f"A law for it: on joint {f.joint} acts {f.formula} {f.unit}, which depends on {names(f.depends)}. It removes "
-        f"{percent(f.share)} of what is above the noise without it, on episodes not used for fitting."
+        f"A law for it: on joint {f.joint} acts {f.formula} {f.unit}, which depends on {names(f.depends)}, "
+        f"{law_size(f)}. It removes {percent(f.share)} of what is above the noise without it, on episodes not used for "
+        f"fitting.{little}"
     )
+
+
+def law_size(f: LawFinding) -> str:
+    """How strong a law is, beside what acts on its joint anyway."""
+    share = f"{format_number(100 * f.largest_share, 2)} %"
+    return f"at most {format_number(f.largest, 2)} {f.unit}, {share} of the usual force there"
 
 
 def where_it_is(laws: LawReport) -> str:

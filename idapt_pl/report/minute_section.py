@@ -9,7 +9,13 @@ import mujoco
 from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
-from idapt_pl.report.diagnosis_wording import nominal_in_words, quick_and_unexplained, rest_explained_by
+from idapt_pl.report.diagnosis_wording import (
+    nominal_in_words,
+    quick_and_unexplained,
+    rest_explained_by,
+    size_in_words,
+    without_negligible_laws,
+)
 from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
 from idapt_pl.report.html import row, section, table
 
@@ -71,7 +77,8 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
 
 
 def differences_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> str:
-    """The effects found, shortly."""
+    """The effects found, shortly; without laws that are too weak to matter."""
+    result = without_negligible_laws(result)
     if not result.effects:
         nothing = {Verdict.NO_MISSING_EFFECT: "Nothing that was found."}
         return nothing.get(result.verdict, "Not known.")
@@ -80,7 +87,8 @@ def differences_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> str:
         name, p = next(iter(e.parameters.items()))
         several = f" {name}" if len(e.parameters) > 1 else ""
         value = format_estimate(p.estimate, p.ci95)[0]
-        told.append(f"{phrase_at(*e.key)}{several}: {value} instead of {nominal_in_words(p)}")
+        amount = f"{several}: {value} instead of {nominal_in_words(p)}"
+        told.append(f"{phrase_at(*e.key)}{size_in_words(result.laws, e) or amount}")
     more = len(result.effects) - MOST_NAMED
     return "; ".join(told) + (f"; and {more} more" if more > 0 else "") + "."
 

@@ -121,7 +121,7 @@ def test_the_command_names_by_rate_and_says_what_it_left_out(tmp_path, capsys):
 
 
 def test_a_law_that_is_not_named_makes_nothing_needless():
-    law = LawFinding("shoulder", "-a*v", "-0.5 v", "N·m", {}, ("v",), 0.9, ())
+    law = LawFinding("shoulder", "-a*v", "-0.5 v", "N·m", {}, ("v",), 0.9, (), 0.5, 0.4)
     laws = LawReport(3.0, 1.0, [law, replace(law, joint="elbow")], None, ["joint_damping(shoulder)"], (), "", 2.0)
     assert without_laws_on(laws, set()) == laws and without_laws_on(None, {"elbow"}) is None
     one = without_laws_on(laws, {"elbow"})

@@ -13,7 +13,7 @@ from idapt_pl.diagnosis.law_candidate import law_candidate
 from idapt_pl.diagnosis.law_forecasts import regress
 from idapt_pl.diagnosis.law_history import remembered
 from idapt_pl.diagnosis.law_network import HIDDEN, network
-from idapt_pl.diagnosis.law_result import formula_in_numbers
+from idapt_pl.diagnosis.law_result import formula_in_numbers, largest_and_usual_force
 from idapt_pl.diagnosis.law_search import laws_of, search_laws
 from idapt_pl.diagnosis.law_terms import JointSizes, Term, dictionary, term_units, write_law
 from idapt_pl.diagnosis.prepare import begin_search
@@ -86,6 +86,8 @@ def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size(
     q, u = np.linspace(-1, 1, 9), np.full(9, 0.7)
     np.testing.assert_allclose(force.force_from({"q": q, "u": u}, np.zeros((9, 0))), ripple(q, 0, u, 0), atol=0.06)
     assert found.places[0].kind == "force" and set(found.places[0].follows) == {"q", "u"}
+    largest, usual = largest_and_usual_force(context, found.state, law)
+    assert largest == pytest.approx(0.55, abs=0.06) and usual == pytest.approx(2 / np.sqrt(3), rel=0.1), "gear 2"
 
 
 def test_a_machine_without_motors_has_laws_too():

@@ -38,6 +38,8 @@ from idapt_pl.report.diagnosis_wording import (
     rest_explained_by,
     verdict_in_words,
 )
+from idapt_pl.report.law_section import law_sentences
+from idapt_pl.report.minute_section import differences_in_words
 
 NOMINAL, HIDDEN = 0.01, 0.06
 
@@ -347,10 +349,12 @@ def test_every_verdict_has_its_sentence(verdict, effects, words):
     assert words in " ".join(verdict_in_words(made_result(verdict, effects), swing))
 
 
+WAVE = "a*sin(b*q)"
 LAW = EffectEstimate(
     "learned_force", "shoulder", {
         "a": ParameterEstimate(0.0, 0.5, (0.4, 0.6), "N·m"), "b": ParameterEstimate(None, 2.35, (2.3, 2.4), "1/rad"),
     },
+    {"expression": WAVE}, error_after=1.0, error_without=3.0,
 )  # fmt: skip
 
 
@@ -363,6 +367,28 @@ def test_what_a_model_has_no_number_for_is_a_dash_and_instead_of_nothing():
     assert EffectEstimate.from_dict(json.loads(json.dumps(LAW.to_dict()))) == LAW
 
 
+def with_a_law(verdict, effects, share):
+    """A result with a law of a force that is so large beside the usual one."""
+    result = made_result(verdict, [*effects, LAW])
+    law = LawFinding("shoulder", WAVE, "0.5·sin(2.35·q)", "N·m", {}, ("q",), 0.9, (), 0.25 * share, share)
+    return replace(result, laws=LawReport(3.0, 1.0, [law], None, (), (), "", 2.0))
+
+
+@pytest.mark.parametrize("verdict", ["effects_found", "unexplained_residual"])
+@pytest.mark.parametrize(("share", "told"), [(0.4, "at most 0.1 N·m, 40 % of the usual force there"), (0.004, "")])
+def test_a_law_is_told_by_its_size_and_is_no_headline_where_that_is_nothing(verdict, share, told):
+    swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
+    result = with_a_law(verdict, [FRICTION], share)
+    shortly, said = differences_in_words(result, swing), " ".join(verdict_in_words(result, swing))
+    assert "dry friction on joint shoulder" in shortly and "dry friction on joint shoulder" in said
+    if told:
+        assert told in shortly and told in said
+    else:
+        assert " law" not in shortly + said + headline(result), "it is next to nothing"
+    (sentence,) = law_sentences(result.laws)
+    assert "% of the usual force there" in sentence and ("next to nothing" in sentence) == (not told)
+
+
 def test_a_quick_look_does_not_say_that_nothing_known_explains_the_rest():
     result = made_result("unexplained_residual", [FRICTION])
     assert headline(result) == "Something is still missing that no known effect explains"
@@ -371,7 +397,7 @@ def test_a_quick_look_does_not_say_that_nothing_known_explains_the_rest():
 
 def test_what_a_law_or_a_change_explains_is_not_called_unexplained():
     unexplained = made_result("unexplained_residual", [FRICTION])
-    law = LawFinding("shoulder", "-a*max(v, 0)", "-0.5 max(v, 0)", "N·m", {}, ("v",), 0.9, ())
+    law = LawFinding("shoulder", "-a*max(v, 0)", "-0.5 max(v, 0)", "N·m", {}, ("v",), 0.9, (), 0.5, 0.4)
     found = LawReport(3.0, 1.0, [law], None, (), (), "", 2.0)
     change = ChangeFinding("actuator_gain", "*", "gain", "1", "drift_over", 1.0, 0.7, None, None, 0.001, 0.9, ())
     for rest, said in (
