@@ -22,6 +22,7 @@ See docs/guide/diagnose.md and docs/guide/effects_from_images.md.
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -161,6 +162,7 @@ def main(args: list[str]) -> int:
     if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
         p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
+        o.mending = shlex.join(["idapt", "diagnose", *args, "--fix"])
         print_diagnosis(diagnose_recordings(o), o.out)
         return 0
     return diagnose_run(o)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -37,12 +38,14 @@ from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
 from idapt_pl.stretches.conditions import BadCondition, idle_conditions
 from idapt_pl.stretches.stretch import marked_steps
 
+log = logging.getLogger(__name__)
+
 
 def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
     """Everything that `idapt diagnose --model` does up to the files; tells of faults, stretches and files on the way.
 
     Args:
-        o: the command's options.
+        o: the command's options, and ``mending``, the same command with ``--fix``.
 
     Raises:
         ValueError: of what the user gave, naming the file or the option.
@@ -82,7 +85,8 @@ def diagnose_recordings(o: argparse.Namespace) -> Diagnosis:
             raise ValueError(f"{', '.join(map(str, o.data))}: {error}") from None
     fixed = o.fix and any(f.faults for f in faults.values())
     if not o.fix and any(f.faults for f in faults.values()):
-        diagnosis = replace(diagnosis, result=replace(diagnosis.result, next_experiment=FAULTS_FIRST))
+        first = FAULTS_FIRST.format(command=o.mending)
+        diagnosis = replace(diagnosis, result=replace(diagnosis.result, next_experiment=first, mending=o.mending))
     notes = RecordingNotes(faults, fixed, stretches, comparison, robot.notes, held)
     write_diagnosis(diagnosis, o.out, o.model.name, " + ".join(names), notes)
     for path, recordings in mended_files(o.out, sets, each) if fixed else ():
@@ -107,7 +111,8 @@ def finish(found: Diagnosis, o: argparse.Namespace) -> Diagnosis:
 
 
 FAULTS_FIRST = (
-    "nothing yet: give the same command with --fix first, as effects that were found beside faults may be theirs"
+    "nothing yet: give the same command with --fix first, as effects that were found beside faults may be theirs: "
+    "{command}"
 )
 """What to record next where deployment faults were found, and left as they are."""
 
@@ -211,6 +216,9 @@ def without_faults(
                 raise ValueError(f"{path}: --fix: {error}") from None
     if any(r.faults for r in reports.values()):
         Console().print(escape(consequence(o.fix)), soft_wrap=True, highlight=False)
+        if not o.fix:
+            Console().print(escape(f"The first thing to do: {o.mending}"), soft_wrap=True, highlight=False)
+            log.info("deployment faults are in the recordings; the first thing to do: %s", o.mending)
     return mended, reports
 
 

@@ -297,6 +297,7 @@ class DiagnosisResult:
         not_tried: what a quick look left out, in words.
         false_discovery_rate: share of false ones among the effects that the user bears; None if none was set.
         not_named: effects that are not probable enough for it.
+        mending: the command that takes out deployment faults which were left in the recordings; empty where none were.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -316,6 +317,7 @@ class DiagnosisResult:
     not_tried: Sequence[str] = ()
     false_discovery_rate: float | None = None
     not_named: Sequence[EffectEstimate] = ()
+    mending: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""

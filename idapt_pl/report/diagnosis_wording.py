@@ -104,10 +104,10 @@ def judged_by_force_sentences(result: DiagnosisResult) -> list[str]:
     if not forces:
         return []
     each = ", ".join(f"{format_number(v)} at {name}" for name, v in forces.items())
-    return [
-        "The sensors are so good that every model is off by far more than their noise. So models are judged by the "
-        f"force that each leaves unexplained, as in identification by inverse dynamics. 1 is, in N·m or N: {each}."
-    ]
+    # faults left in the recordings put models off as good sensors do
+    why = "" if result.mending else "The sensors are so good that every model is off by far more than their noise. So "
+    judged = "models are judged by the force that each leaves unexplained, as in identification by inverse dynamics."
+    return [f"{why}{judged if why else judged.capitalize()} 1 is, in N·m or N: {each}."]
 
 
 # --- what each verdict says -----------------------------------------------------------------------------

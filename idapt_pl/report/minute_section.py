@@ -62,12 +62,16 @@ def minute_section(result: DiagnosisResult, sim: Simulator, warnings: Sequence[s
     """
     rest = rest_explained_by(result)
     answer, action = REST_EXPLAINED[rest] if rest else (ANSWERS[result.verdict], ACTIONS[result.verdict])
+    if quick_and_unexplained(result):
+        action = AFTER_A_QUICK_LOOK
+    if result.mending:
+        action = f"First take the deployment faults out: {result.mending}"
     rows = [
         ("Does the model move like the machine?", answer),
         ("What is different?", differences_in_words(result, sim.model)),
         ("How much does that matter?", matter_in_words(result)),
         ("How sure is it?", sureness_in_words(result, sim)),
-        ("What to do now?", AFTER_A_QUICK_LOOK if quick_and_unexplained(result) else action),
+        ("What to do now?", action),
     ]
     if result.not_tried:
         rows.append(("What was not tried?", f"This was a quick look, without {', '.join(result.not_tried)}."))

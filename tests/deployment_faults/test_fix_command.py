@@ -1,11 +1,13 @@
 """`idapt diagnose` reports deployment faults, and takes them out with --fix."""
 
 import json
+import shlex
 
 import mujoco
 import numpy as np
 import pytest
 
+from cli import diagnose_recordings
 from cli.main import main
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 
@@ -72,6 +74,27 @@ def test_without_fix_the_faults_are_told_and_nothing_is_changed(folder, tmp_path
     assert not (tmp_path / "mended.h5").exists()
     assert "--fix" in capsys.readouterr().out
     assert report["next_experiment"].startswith("nothing yet: give the same command with --fix first")
+
+
+def test_the_command_with_fix_is_told_before_the_search_and_first_of_all_on_the_page(
+    folder, tmp_path, capsys, caplog, monkeypatch
+):
+    caplog.set_level("INFO")
+    search, told = diagnose_recordings.diagnose, []
+
+    def begin(*args, **kwargs):
+        told.append(capsys.readouterr().out)
+        told.append(caplog.text)
+        return search(*args, **kwargs)
+
+    monkeypatch.setattr(diagnose_recordings, "diagnose", begin)
+    report = diagnose(folder, tmp_path)
+    args = ["--model", folder / "nominal.xml", "--data", folder / "turned.h5", "--out", tmp_path, "--candidates"]
+    command = shlex.join(["idapt", "diagnose", *map(str, args), "joint_damping", "--fix"])
+    assert f"The first thing to do: {command}" in told[0] and command in told[1]
+    assert command in report["next_experiment"]
+    page = (tmp_path / "report.html").read_text()
+    assert f"First take the deployment faults out: {command}" in page and "sensors are so good" not in page
 
 
 def test_fix_needs_recordings_of_positions(folder, tmp_path, capsys):

@@ -367,6 +367,16 @@ def test_what_a_model_has_no_number_for_is_a_dash_and_instead_of_nothing():
     assert EffectEstimate.from_dict(json.loads(json.dumps(LAW.to_dict()))) == LAW
 
 
+@pytest.mark.parametrize("mending", ["", "idapt diagnose --fix"])
+def test_faults_that_were_left_are_no_good_sensors(mending):
+    swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
+    result = made_result("unexplained_residual", [])
+    by_force = replace(result, error=replace(result.error, unexplained={"shoulder": 0.2}), mending=mending)
+    said = " ".join(verdict_in_words(by_force, swing))
+    assert ("The sensors are so good" in said) == (not mending) and "models are judged by the force" in said.lower()
+    assert "1 is, in N·m or N: 0.2 at shoulder" in said
+
+
 def with_a_law(verdict, effects, share):
     """A result with a law of a force that is so large beside the usual one."""
     result = made_result(verdict, [*effects, LAW])
