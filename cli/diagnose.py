@@ -215,7 +215,7 @@ def print_diagnosis(diagnosis: Diagnosis, out: Path) -> None:
 
 def more_sentences(result: DiagnosisResult) -> list[str]:
     """How probable it is, what changes, and laws for what no effect explains."""
-    told = [*probability_sentences(result.explanations), *not_named_sentences(result)]
+    told = [*probability_sentences(result.explanations, result.error), *not_named_sentences(result)]
     if result.not_tried:
         told.append(f"A quick look. Not tried: {', '.join(result.not_tried)}. For these run it without --quick.")
     return [*told, *change_sentences(result.changes), *law_sentences(result.laws)]

@@ -56,7 +56,7 @@ def diagnosis_page(
         minute_section(result, diagnosis.sim, warnings),
         *notes,
         effects_section(result, model),
-        explanation_section(result.explanations),
+        explanation_section(result.explanations, result.error),
         settings,
         next_steps_section(result.effects, result.next_experiment),
         change_section(result.changes),

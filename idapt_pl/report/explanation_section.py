@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from idapt_pl.diagnosis.explanation import Explanation, Standing
-from idapt_pl.diagnosis.result import DiagnosisResult
+from idapt_pl.diagnosis.result import DiagnosisResult, ErrorTable
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, row, section, table
 
@@ -13,8 +13,11 @@ LEAST = 0.005
 """Explanations that are less probable are counted, not listed."""
 
 
-def explanation_section(explanations: Sequence[Explanation]) -> str:
-    """A table of explanations, the most probable first, and of what none of them is; nothing where none is left."""
+def explanation_section(explanations: Sequence[Explanation], error: ErrorTable) -> str:
+    """A table of explanations, the most probable first, and of what none of them is; nothing where none is left.
+
+    ``error`` is what remains with what was found.
+    """
     if not explanations:
         return ""
     found = next(e for e in explanations if e.standing is Standing.FOUND)
@@ -29,19 +32,27 @@ def explanation_section(explanations: Sequence[Explanation]) -> str:
         table(("explanation", "#probability", "#error left (squared)"), rows),
         paragraph(
             "By what each says of held-out windows, how many numbers it needs, and how usual its effects are on "
-            f"machines.{more}",
+            f"machines. With what was found {what_is_left(error)}.{more}",
             "small",
         ),
     )
 
 
-def probability_sentences(explanations: Sequence[Explanation]) -> list[str]:
-    """How probable what was found is, and something else; nothing where nothing was found."""
+def probability_sentences(explanations: Sequence[Explanation], error: ErrorTable) -> list[str]:
+    """How probable what was found is, and something else, and what is left; nothing where nothing was found."""
     if not explanations:
         return []
     found = next(e for e in explanations if e.standing is Standing.FOUND)
     other = something_else(explanations)
-    return [f"Just these effects: {found.probability:.0%} probable; something else, or something more: {other:.0%}."]
+    return [
+        f"Just these effects: {found.probability:.0%} probable; something else, or something more: {other:.0%}; "
+        f"{what_is_left(error)}."
+    ]
+
+
+def what_is_left(error: ErrorTable) -> str:
+    """The error with what was found: all of what can be removed may be, and yet more be there than noise."""
+    return f"what is left is {format_number(error.after)} times {error.yardstick}"
 
 
 def not_named_sentences(result: DiagnosisResult) -> list[str]:

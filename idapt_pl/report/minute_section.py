@@ -116,7 +116,7 @@ def sureness_in_words(result: DiagnosisResult, sim: Simulator) -> str:
     seconds = format_number(sum(float(r.time[-1] - r.time[0]) for r in sim.data), 2)
     judged, n = len(result.error.held_out_episodes), len(sim.data)
     told = f"Judged on {judged} of {n} episodes ({seconds} s in all) that nothing was fitted to."
-    sentences = [*probability_sentences(result.explanations), *not_named_sentences(result)]
+    sentences = [*probability_sentences(result.explanations, result.error), *not_named_sentences(result)]
     told += "".join(f" {sentence}" for sentence in sentences)
     unsure = [phrase_at(*e.key) for e in result.effects if e.equivalent]
     if unsure:
