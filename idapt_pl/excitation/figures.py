@@ -14,9 +14,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from idapt_pl.effects.candidate import scalar_joints
-from idapt_pl.excitation.design import SEPARATED, MotionDesign
+from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.forecast import MotionForecaster
 from idapt_pl.excitation.limits import MotionLimits
+from idapt_pl.excitation.plan import MotionPlan
 from idapt_pl.excitation.rivals import Rival
 from idapt_pl.report.plots import NOISE, STYLE, escape_mathtext
 
@@ -31,18 +32,19 @@ CLIP_RATE, CLIP_SIZE = 12.5, 240
 
 
 def motion_figure(
-    design: MotionDesign, rivals: Sequence[Rival], forecaster: MotionForecaster, limits: MotionLimits
+    design: MotionDesign, rivals: Sequence[Rival], forecaster: MotionForecaster, plan: MotionPlan
 ) -> Figure:
-    """Commands on the left, predicted positions on the right, and how the separations grow at the bottom."""
-    model = forecaster.model
+    """Commands on the left, predicted positions on the right; where that is the goal, how separations grow below."""
+    model, limits, apart = forecaster.model, plan.limits, plan.goal is Goal.SEPARATE
     rows = max(min(len(scalar_joints(model)), MOST_JOINTS), min(model.nu, MOST_JOINTS))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 1.3 + 1.5 * rows + 2.2), layout="constrained")
-        grid = figure.add_gridspec(rows + 1, 2, height_ratios=[1.0] * rows + [1.5])
+        figure = Figure(figsize=(9.6, 1.3 + 1.5 * rows + 2.2 * apart), layout="constrained")
+        grid = figure.add_gridspec(rows + apart, 2, height_ratios=[1.0] * rows + [1.5] * apart)
         axes = [[figure.add_subplot(grid[row, column]) for row in range(rows)] for column in (0, 1)]
         draw_commands(axes[0], design, forecaster, limits)
         draw_positions(axes[1], design, rivals, forecaster, limits)
-        draw_growth(figure.add_subplot(grid[-1, :]), design, rivals)
+        if apart:
+            draw_growth(figure.add_subplot(grid[-1, :]), design, rivals)
         handles, labels = axes[1][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
     return figure
@@ -101,8 +103,7 @@ def draw_growth(axis: Axes, design: MotionDesign, rivals: Sequence[Rival]) -> No
     axis.axhline(SEPARATED, color=NOISE, ls="--", lw=1)
     axis.set_title("separation so far, in standard deviations (dashed: told apart)", loc="left", fontsize=10)
     axis.set_xlabel("time (s)")
-    if len(apart):
-        axis.legend(frameon=False, fontsize=8)
+    axis.legend(frameon=False, fontsize=8)
 
 
 def motion_clip(design: MotionDesign, forecaster: MotionForecaster) -> bytes | None:

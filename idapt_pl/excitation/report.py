@@ -51,7 +51,7 @@ def write_motion(
     """
     parameters = information_rows(design, rivals[0], left_open.intervals, forecaster.model)
     entry = motion_entry(design, rivals, forecaster, plan, parameters)
-    drawn, clip = motion_figure(design, rivals, forecaster, plan.limits), motion_clip(design, forecaster)
+    drawn, clip = motion_figure(design, rivals, forecaster, plan), motion_clip(design, forecaster)
     buffer = io.BytesIO()
     drawn.savefig(buffer, format="png", dpi=130)
     names = model_name, report_name, out.name

@@ -48,6 +48,7 @@ def test_the_page_has_all_parts_and_fetches_nothing(written):
     page = (written / "next.html").read_text()
     for part in ("Explanations", "What it tells apart", "The motion", "Safety", "What to do with it"):
         assert f"<h2>{part}</h2>" in page
+    assert "separation so far" in page
     assert "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
     assert (written / "next.png").read_bytes().startswith(b"\x89PNG")
     assert not (written / "next.gif").exists()  # the model has no camera
@@ -83,6 +84,7 @@ def test_a_report_with_one_explanation_is_good_for_estimates_alone(tmp_path, cap
     assert excite(tmp_path) == 2 and "--goal estimate" in capsys.readouterr().err
     assert excite(tmp_path, "--goal", "estimate") == 0
     assert json.loads((tmp_path / "next.json").read_text())["pairs"] == []
+    assert "separation so far" not in (tmp_path / "next.html").read_text(), "there is nothing to tell apart"
 
 
 def test_a_span_may_begin_with_a_minus_and_contact_may_be_allowed(tmp_path):
