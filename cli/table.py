@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from rich.console import Console
@@ -42,7 +43,8 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
     if summary["rolled_back"]:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
     console.print(f"the story of the run: {report}", soft_wrap=True)
-    console.print(f"everything is in {run_dir}; watch it with: tensorboard --logdir {run_dir}", soft_wrap=True)
+    watch = f"tensorboard --logdir {shlex.quote(str(run_dir))}"
+    console.print(f"everything is in {run_dir}; watch it with: {watch}", soft_wrap=True)
 
 
 def measured_policies(summary: dict) -> list[tuple[str, str]]:

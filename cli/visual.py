@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 import warnings
 from dataclasses import dataclass
@@ -194,7 +195,7 @@ class VisualCLI(LightningCLI):
                 *(len(self.datamodule.load(of)) for of in ("source", "target")),
                 self.trainer.max_epochs,
                 self.trainer.strategy.root_device,
-                self.run_dir,
+                shlex.quote(str(self.run_dir)),
             )
         with resumable(self.run_dir, "idapt visual fit", "epochs", "last.ckpt"), self.health.explaining(self.model):
             self.trainer.fit(**arguments)

@@ -25,6 +25,8 @@ def test_another_methods_steps_have_its_name():
 def test_a_shortened_run_ends_with_what_it_is_worth(by, capsys):
     told = {"metric": "return", "method": "idapt", "oracle": None, "task": "cart", "target": "hard", "seed": 0}
     told |= {"episodes": 2, "target_interactions": 9, "wall_s": 60.0, "rolled_back": [], "shortened_by": by}
-    print_summary(SUMMARY | told, Path("run"), Path("run/report.html"))
-    said = "lengths divided by 200: this shows that it runs, not what it can reach" in capsys.readouterr().out
+    print_summary(SUMMARY | told, Path("my run"), Path("my run/report.html"))
+    out = capsys.readouterr().out
+    said = "lengths divided by 200: this shows that it runs, not what it can reach" in out
+    assert "tensorboard --logdir 'my run'" in out, "a command that can be copied"
     assert said == (by != 1)

@@ -234,6 +234,12 @@ def test_translations_are_measured_before_and_after_and_alike_in_fit_and_test(tm
     assert code == 1 and "data.test_source" in err
 
 
+def test_what_to_do_next_is_told_as_it_is_to_be_typed(photos, tmp_path, capsys, caplog):
+    caplog.set_level("INFO", "cli.visual")
+    assert fit(capsys, tmp_path / "my run", data__root=photos, trainer__max_epochs=1)[0] == 0
+    assert f"tensorboard --logdir '{tmp_path}/my run'" in caplog.text
+
+
 @pytest.mark.parametrize("preset", sorted((ROOT / "configs" / "visual").glob("*.yaml")), ids=lambda p: p.stem)
 def test_presets_train(preset, photos, tmp_path, capsys):
     code, err = visual(
