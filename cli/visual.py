@@ -202,6 +202,8 @@ class VisualCLI(LightningCLI):
         self.health.running_away(self.model, self.datamodule)
         if self.trainer.is_global_zero:
             log.info("%d epochs done -> %s", self.trainer.current_epoch, self.run_dir / "last.ckpt")
+            if not self.datamodule.has_tests:
+                log.info("how good G is was not measured: --data.test_source and --data.test_target give figures")
 
 
 def strategy(accelerator: str, devices: str | int | list[int], nodes: int) -> str:

@@ -213,12 +213,14 @@ def test_using_a_model_that_is_none_is_told_plainly(tmp_path, capsys):
     assert "Expected a checkpoint of a visual transformation" in err
 
 
-def test_translations_are_measured_before_and_after_and_alike_in_fit_and_test(tmp_path, capsys):
+def test_translations_are_measured_before_and_after_and_alike_in_fit_and_test(tmp_path, capsys, caplog):
+    caplog.set_level("INFO", "cli.visual")
     for letter, color, background in (("A", (255, 0, 0), 20), ("B", (0, 0, 255), 120)):
         for part, n in (("train", 12), ("test", 13)):
             squares(tmp_path / "pairs" / f"{part}{letter}", n, color, background)
     options = {"data__root": tmp_path / "pairs", "data__paired": "true", "quality__probe_batches": 10}
     assert fit(capsys, tmp_path / "run", **options, trainer__max_epochs=1)[0] == 0
+    assert "not measured" not in caplog.text
     figures = tmp_path / "run" / "quality.json"
     after_fit = json.loads(figures.read_text())
     assert set(after_fit) == {"kid", "kid_before", "kid_floor", "psnr", "psnr_before", "ssim", "ssim_before"}
@@ -238,6 +240,7 @@ def test_what_to_do_next_is_told_as_it_is_to_be_typed(photos, tmp_path, capsys, 
     caplog.set_level("INFO", "cli.visual")
     assert fit(capsys, tmp_path / "my run", data__root=photos, trainer__max_epochs=1)[0] == 0
     assert f"tensorboard --logdir '{tmp_path}/my run'" in caplog.text
+    assert "how good G is was not measured: --data.test_source and --data.test_target" in caplog.text
 
 
 @pytest.mark.parametrize("preset", sorted((ROOT / "configs" / "visual").glob("*.yaml")), ids=lambda p: p.stem)
