@@ -99,19 +99,19 @@ def error_section(result: DiagnosisResult) -> str:
 
 
 def effects_section(result: DiagnosisResult, model: mujoco.MjModel) -> str:
-    """Estimates with intervals and units."""
+    """Estimates with intervals and units; intervals may break, as the table is wide."""
     rows = []
     for e in result.effects:
         others = listing(phrase_at(a.effect, a.target) for a in e.equivalent) if e.equivalent else ""
         for i, (name, value, interval, unit, nominal) in enumerate(estimate_cells(e, model)):
             what = linked_name(e) if i == 0 else ""
             sure = as_number(e.probability) if e.probability is not None and i == 0 else ""
-            cells = (what, name, f"#{value}", f"#{interval}", unit, f"#{nominal}", sure, others if i == 0 else "")
+            cells = (what, name, f"#{value}", interval, unit, f"#{nominal}", sure, others if i == 0 else "")
             rows.append(row(*cells))
     if not rows:
         return ""
     heads: tuple[str, ...] = (
-        "effect", "parameter", "#estimate", "#95 % interval", "unit", "#in the model", "#probable", "could also be",
+        "effect", "parameter", "#estimate", "95 % interval", "unit", "#in the model", "#probable", "could also be",
     )  # fmt: skip
     if not any(e.equivalent for e in result.effects):
         heads, rows = heads[:-1], [r.replace("<td></td></tr>", "</tr>") for r in rows]

@@ -37,7 +37,8 @@ th, td { text-align: left; vertical-align: top; padding: .35rem .75rem .35rem 0;
 th { font-weight: 600; color: #62666d; }
 .named td:first-child { min-width: 11rem; }
 .wide + p, figcaption { margin-top: .5rem; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n { white-space: nowrap; }
 tr.accepted td { background: #eef7ee; }
 tr.round td { color: #62666d; font-weight: 600; padding-top: .9rem; }
 figure { margin: 0; }

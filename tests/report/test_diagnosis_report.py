@@ -31,6 +31,7 @@ from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.report.changed_settings import span
 from idapt_pl.report.diagnosis_files import write_diagnosis
+from idapt_pl.report.diagnosis_page import effects_section
 from idapt_pl.report.diagnosis_wording import (
     episode_list,
     estimate_cells,
@@ -38,6 +39,7 @@ from idapt_pl.report.diagnosis_wording import (
     rest_explained_by,
     verdict_in_words,
 )
+from idapt_pl.report.html import document
 from idapt_pl.report.law_section import law_sentences
 from idapt_pl.report.minute_section import differences_in_words
 
@@ -356,6 +358,13 @@ LAW = EffectEstimate(
     },
     {"expression": WAVE}, error_after=1.0, error_without=3.0,
 )  # fmt: skip
+
+
+def test_the_widest_table_may_break_intervals_and_heads_to_fit_its_card():
+    swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
+    page = document("", [effects_section(made_result("effects_found", [FRICTION]), swing)], "#000")
+    assert re.search(r"<td>9\.\d+ to 10\.\d+</td>", page) and '<th class="n">in the model</th>' in page
+    assert re.findall(r"(\S*) \{[^}]*white-space: nowrap", page) == ["td.n"], "all else wraps"
 
 
 def test_what_a_model_has_no_number_for_is_a_dash_and_instead_of_nothing():
