@@ -119,6 +119,7 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
     if plays or not explains_too_little(context, state):
         return None
     context.progress("where is the rest?", 0.91)
+    log.info("looking for a law of force, as effects leave much unexplained; it may take as long as they did")
     forecasts = joint_forecasts(context, state)
     if not forecasts:
         return None

@@ -74,11 +74,13 @@ def begun(law):
     return begin_search(mujoco.MjSpec.from_string(PENDULUM), record(law), threads=1)
 
 
-def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size():
+def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size(caplog):
+    caplog.set_level("INFO", "idapt_pl.diagnosis.law_search")
     context, state = begun(ripple)
     found = search_laws(context, state)
     (law,) = laws_of(found.state)
     assert law.candidate.target == "axis" and law.candidate.depends == {"q", "u"}
+    assert caplog.messages[0].startswith("looking for a law of force"), "it may take long, and is told first"
     left = context.loss(found.state.windows.held_out, found.state.effects).mean()
     before = context.loss(found.before.windows.held_out, found.before.effects).mean()
     assert before > 5 and left < 1.5
