@@ -32,7 +32,7 @@ def explanation_section(explanations: Sequence[Explanation], error: ErrorTable) 
         table(("explanation", "#probability", "#error left (squared)"), rows),
         paragraph(
             "By what each says of held-out windows, how many numbers it needs, and how usual its effects are on "
-            f"machines. With what was found {what_is_left(error)}.{more}",
+            f"machines. With what was found, {what_is_left(error)}.{more}",
             "small",
         ),
     )

@@ -32,7 +32,7 @@ def test_the_most_probable_comes_first_and_says_what_it_has_instead():
     assert first < second and "60 %" in text and "30 %" in text
     assert "friction" in text[:first] and "damping" in text[first:second], "the gain is in both"
     assert text.index("gain") < text.index(" and ") and " or " not in text[: text.index("something else")]
-    assert "With what was found what is left is 1.24 times the measurement noise." in text
+    assert "With what was found, what is left is 1.24 times the measurement noise." in text
     assert "10 %" in text and "1 more are less probable than 0.5 %" in text
 
 
