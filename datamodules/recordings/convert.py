@@ -17,6 +17,8 @@ PAUSE, PAUSE_PERIODS = 1.0, 10
 """A pause is long, and ends an episode, if it lasts longer than so many seconds and so many periods."""
 IRREGULAR = 0.01
 """Periods that differ by more than this share of the median make sampling irregular: times are kept."""
+MOST_DRIFT = 0.5
+"""So do rows that are further than so many periods from k dt."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Timing:
     """When rows were taken.
 
     Attributes:
-        dt: median period over all episodes, s.
+        dt: period over all episodes, s; the median one where sampling is irregular.
         jitter: largest deviation of a period from ``dt``, as a share of it.
         regular: whether t_k = k ``dt`` says it all.
         duration: of all episodes together, s.
@@ -221,21 +223,36 @@ def _cut_at_pauses(
 
 def _timing(times: list[np.ndarray], episodes: list[Recorded]) -> Timing:
     periods = np.concatenate([np.diff(t) for t in times])
-    dt = float(f"{np.median(periods):.12g}")  # without the last digits' rounding
+    dt = _period(times, periods)
     jitter = float(np.abs(periods - dt).max() / dt)
     if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
         raise RecordingError(f"{episodes[0].source}: rows are {dt:.3g} s apart; is the unit of time right (time.unit)?")
-    drift = max(abs(t[-1] - dt * (len(t) - 1)) for t in times) / dt
+    drift = max(np.abs(t - dt * np.arange(len(t))).max() for t in times) / dt
     longest = max(range(len(times)), key=lambda i: np.diff(times[i]).max())
     gaps = np.diff(times[longest])
     where = f"{episodes[longest].source}, {episodes[longest].row(int(gaps.argmax()))}"
     return Timing(
         dt,
         jitter,
-        bool(jitter <= IRREGULAR and drift <= 0.5),
+        bool(jitter <= IRREGULAR and drift <= MOST_DRIFT),
         float(sum(t[-1] for t in times)),
         (float(gaps.max()), where),
     )
+
+
+def _period(times: list[np.ndarray], periods: np.ndarray) -> float:
+    """Seconds between rows: from an episode's first to its last where they are even, else the median.
+
+    Every single period, and so their median, is off by what a clock cannot tell apart (2.4e-7 s in float64 seconds
+    since 1970); from the first row to the last that counts once. The shortest number that agrees so well is taken.
+    """
+    median = float(np.median(periods))
+    if not np.abs(periods - median).max() <= IRREGULAR * median:
+        return float(f"{median:.12g}")  # without the last digits' rounding
+    mean = float(sum(t[-1] for t in times)) / len(periods)
+    grid = 2 * float(np.abs(periods - mean).max())  # between two marks of a grid, one is half a step away or more
+    close = max(grid * len(times) / len(periods), 1e-12 * mean)
+    return next(p for digits in range(1, 18) if abs((p := float(f"{mean:.{digits}g}")) - mean) <= close)
 
 
 def _notes(mapping: Mapping, timing: Timing) -> tuple[str, ...]:

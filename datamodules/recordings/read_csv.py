@@ -13,6 +13,9 @@ from datamodules.recordings.frames import named_files
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded, is_number
 
+EXACT = 2**53
+"""Whole numbers from here on are not all in float64."""
+
 
 def read_csv(path: Path, mapping: Mapping) -> list[Recorded]:
     """Read a table as one episode. Rows are named by their line in the file, columns by the header.
@@ -82,8 +85,14 @@ def _check_header(path: Path, mapping: Mapping, names: list[str]) -> None:
 
 
 def _column(cells: list[str]) -> np.ndarray:
-    """Numbers if they all are, an empty cell being NaN; else text."""
+    """Numbers if they all are, an empty cell being NaN; else text. Stamps in ns, too large for float64, stay whole."""
     try:
-        return np.array([cell.strip() or "nan" for cell in cells], dtype=np.float64)
+        numbers = np.array([cell.strip() or "nan" for cell in cells], dtype=np.float64)
     except ValueError:
         return np.array([cell.strip() for cell in cells], dtype=object)
+    if np.nanmax(np.abs(numbers), initial=0) < EXACT:
+        return numbers
+    try:
+        return np.array(cells, dtype=np.int64)
+    except (ValueError, OverflowError):
+        return numbers

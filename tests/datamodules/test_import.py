@@ -374,6 +374,21 @@ def test_time_units_and_absolute_times(unit, tmp_path):
     assert fine.trajectories.dt == pytest.approx(0.02, rel=1e-9)
 
 
+@pytest.mark.parametrize("period", [0.001, 0.005, 1 / 1024])
+@pytest.mark.parametrize("unit", ["s", "ns"])
+def test_a_clock_of_our_days_is_as_regular_as_its_rows(unit, period, tmp_path):
+    c = recorded(20_001, period)
+    ns = 1_732_701_000_001_000_000 + np.round(c["t"] * 1e9).astype(np.int64)
+    stamps = ns if unit == "ns" else [f"{k // 10**9}.{k % 10**9:09d}" for k in ns.tolist()]
+    imported = load(write_csv(tmp_path / "a.csv", c | {"t": stamps}), changed(time={"column": "t", "unit": unit}))
+    assert imported.timing.regular and imported.trajectories.dt == period
+
+
+def test_a_period_that_is_no_round_number_is_not_rounded(tmp_path):
+    path = write_csv(tmp_path / "a.csv", recorded(2001, 0.0010000002))
+    assert load(path).trajectories.dt == pytest.approx(0.0010000002, rel=1e-12)
+
+
 def test_timestamps_are_kept_only_where_sampling_is_irregular(tmp_path):
     for jitter, regular in ((0.005, True), (0.05, False)):
         c = recorded()
