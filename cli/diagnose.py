@@ -26,6 +26,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 from rich.console import Console
@@ -33,7 +34,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from cli.arguments import keep_inputs, parser
-from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
 from cli.diagnose_recordings import diagnose_recordings, progress_bar
 from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.repaired import repair_model
@@ -42,15 +42,15 @@ from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.effects.wording import format_number, phrase_at
-from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
-from idapt_pl.report.forecast_page import forecast_verdict
 from idapt_pl.report.law_section import law_sentences
-from idapt_pl.run import Run
+
+if TYPE_CHECKING:
+    from idapt_pl.image_diagnosis import ImageDiagnosis
 
 EXAMPLES = """examples:
   idapt diagnose --model nominal.xml --data measured.h5 --out diagnosis
@@ -169,7 +169,10 @@ def main(args: list[str]) -> int:
 
 
 def diagnose_run(o: argparse.Namespace) -> int:
-    """`idapt diagnose --run`: recordings of images."""
+    """`idapt diagnose --run`: recordings of images, by a run's networks; recordings of positions need no torch."""
+    from cli.diagnose_images import diagnose_images_by_forecasts, read_images, report_visual_effects
+    from idapt_pl.run import Run
+
     run, (data,) = Run.open(o.run), o.data
     if o.looks:
         report_visual_effects(run, data, o.out, o.seed)
@@ -223,6 +226,8 @@ def more_sentences(result: DiagnosisResult) -> list[str]:
 
 def print_forecast_diagnosis(diagnosis: ImageDiagnosis, model: mujoco.MjModel, out: Path) -> None:
     """The verdict and the effects of a diagnosis by forecasts, and where the rest is; ``model`` is the source's."""
+    from idapt_pl.report.forecast_page import forecast_verdict
+
     print_findings(forecast_verdict(diagnosis, model), effects_tables(diagnosis.believed, model), out, {})
 
 

@@ -11,6 +11,7 @@ import sys
 import warnings
 
 from cli.interrupt import Interrupted, interruptible, leave_within
+from datamodules.once_loaded import once_loaded
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -85,6 +86,7 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
     try:
         importlib.import_module("idapt_pl")  # before mujoco, for rendering; here, as `idapt --help` need not wait
         say_what_matters()
+        once_loaded("lightning.pytorch", say_what_matters)
         module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
         return importlib.import_module(f"cli.{module}").main(args)
     except Exception as error:
@@ -95,7 +97,7 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
 
 
 def say_what_matters() -> None:
-    """Our log on the screen, and of others' what a user can act on; called after Lightning has set its own level."""
+    """Our log on the screen, and of others' what a user can act on; again once Lightning has set its own level."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s  %(message)s", datefmt="%H:%M:%S")
     for noisy in ("lightning.pytorch", "lightning.fabric", "OpenGL", "onnxscript", "onnx_ir"):
         logging.getLogger(noisy).setLevel(logging.WARNING)

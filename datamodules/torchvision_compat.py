@@ -3,16 +3,16 @@
 There is no CPU build of torchvision for every platform. The default build then cannot load its compiled
 operators, and importing it fails on registering shape functions for two of them. Declaring the two
 operators (no implementation) lets the rest work: transforms, models, make_grid, save_image. Where the
-compiled operators load, this does nothing. Importing Lightning imports torchvision, so it comes first.
+compiled operators load, this does nothing. Importing Lightning imports torchvision, so it comes first:
+as soon as torch is loaded.
 """
 
 from __future__ import annotations
 
 import sys
+from typing import Any
 
-import torch
-
-_DECLARED: list[torch.library.Library] = []  # a Library is undone when it is collected
+_DECLARED: list[Any] = []  # a Library is undone when it is collected
 
 
 def ensure_torchvision() -> None:
@@ -22,6 +22,8 @@ def ensure_torchvision() -> None:
     except RuntimeError as error:
         if "torchvision::nms" not in str(error):
             raise
+        import torch
+
         for name in [m for m in sys.modules if m == "torchvision" or m.startswith("torchvision.")]:
             del sys.modules[name]
         library = torch.library.Library("torchvision", "DEF")

@@ -7,14 +7,20 @@ import os
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")
 
-if "IDAPT_ONLY_RENDERS" not in os.environ:  # such a process needs no torch, which takes seconds to load
+
+def _flush_denormals() -> None:
+    """Adam's moments of idle units decay to denormal numbers, over which Intel takes a quarter of SAC's time.
+
+    Set as soon as there is torch, as threads take this from the one that starts them.
+    """
     import torch
 
-    from datamodules.torchvision_compat import ensure_torchvision
+    torch.set_flush_denormal(True)
+
+
+if "IDAPT_ONLY_RENDERS" not in os.environ:  # such a process has no tensors
+    from datamodules.once_loaded import once_loaded
     from idapt_pl.memory import keep_freed_memory
 
-    ensure_torchvision()  # before anything imports Lightning
     keep_freed_memory()
-    # Adam's moments of idle units decay to denormal numbers, over which Intel takes a quarter of SAC's time.
-    # Set here, as threads take this from the one that starts them.
-    torch.set_flush_denormal(True)
+    once_loaded("torch", _flush_denormals)  # which takes seconds to load, and not all that is here needs it

@@ -276,8 +276,10 @@ PAGE = re.compile(r"\bdocs/[\w./-]+\.md\b")
 
 
 def bound_names(path: Path) -> set[str]:
-    """What a module defines or imports at its top level."""
-    nodes = [n for n in parsed(path).body if isinstance(n, ast.Import | ast.ImportFrom)]
+    """What a module defines or imports at its top level, for type checkers alone or not."""
+    body = parsed(path).body
+    body = [*body, *(n for block in body if isinstance(block, ast.If) for n in block.body)]
+    nodes = [n for n in body if isinstance(n, ast.Import | ast.ImportFrom)]
     imported = {alias.asname or alias.name for n in nodes for alias in n.names}
     return imported | set(public_names(path)) | {"log"}
 

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 
 from idapt_pl.effects.base import Effect, effect_from_dict
+from idapt_pl.files import read_yaml
 
 
 def read_effects(path: Path, model: mujoco.MjSpec) -> tuple[Effect, ...]:
@@ -26,8 +27,6 @@ def read_effect_list(path: Path) -> list[Any]:
     Raises:
         ValueError: if there is no such file, or it holds no list.
     """
-    from idapt_pl.files import read_yaml  # it loads torch, which processes that only draw do without
-
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected a list of effects (YAML)")
     entries = read_yaml(path)

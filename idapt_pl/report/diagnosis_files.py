@@ -9,7 +9,6 @@ from typing import Any
 
 import mujoco
 from matplotlib.figure import Figure
-from torch.utils.tensorboard import SummaryWriter
 
 from idapt_pl.deployment_faults import FaultReport
 from idapt_pl.diagnosis.repaired import repair_model
@@ -154,6 +153,10 @@ def write_loadable_model(path: Path, xml: str) -> None:
 
 def log_diagnosis(folder: Path, diagnosis: Diagnosis, drawn: dict[str, Figure]) -> None:
     """Errors, estimates with their intervals, the verdict and the figures; events of an earlier run are removed."""
+    from torch.utils.tensorboard import (
+        SummaryWriter,
+    )  # torch takes seconds to load, and a diagnosis needs it here alone
+
     result = diagnosis.result
     for old in folder.glob("events.out.tfevents.*"):
         old.unlink()
