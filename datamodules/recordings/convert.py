@@ -8,6 +8,7 @@ import numpy as np
 
 from datamodules.recordings.alternatives import chosen
 from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.hold import with_held_channels
 from datamodules.recordings.mapping import LONGEST_PERIOD, SHORTEST_PERIOD, Channel, Mapping
 from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.repair import between_empty, empty_rows, rows_to_drop
@@ -62,6 +63,7 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
         RecordingError: naming the file, column and row, what was expected and what came.
     """
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
+    episodes, held = with_held_channels(episodes, mapping)
     repaired: tuple[str, ...] = ()
     if repair:
         episodes, repaired = _repaired(episodes, mapping)
@@ -69,7 +71,7 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
     episodes, times, cut = _cut_at_pauses(episodes, times)
     timing = _timing(times, episodes)
     made = tuple(_episode(e, chosen(mapping, e), t, timing) for e, t in zip(episodes, times, strict=True))
-    return Imported(Trajectories(made, timing.dt, source), timing, repaired + cut + _notes(mapping, timing))
+    return Imported(Trajectories(made, timing.dt, source), timing, held + repaired + cut + _notes(mapping, timing))
 
 
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
@@ -170,7 +172,10 @@ def _repaired(episodes: list[Recorded], mapping: Mapping) -> tuple[list[Recorded
         lacking += [f"{episode.source}, {episode.row(int(k))}" for k in np.flatnonzero(empty)]
         parts += between_empty(episode, empty) if empty.any() else [episode]
     if not parts:
-        raise RecordingError(f"{episodes[0].source}: --repair: no two rows in a row have all numbers of the map")
+        raise RecordingError(
+            f"{episodes[0].source}: --repair: no two rows in a row have all numbers of the map; where a channel was "
+            "logged at another rate than the rest, let the last value hold (hold: true of the channel)"
+        )
     notes: list[str] = []
     if lacking:
         cut = f", and {len(parts)} episodes are left of {len(episodes)}" if len(parts) != len(episodes) else ""

@@ -25,6 +25,7 @@ from datamodules.recordings.draft_names import (
 from datamodules.recordings.draft_units import position_measure, slope_of, time_unit, velocity_measure
 from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.formats import find, guess, read_recording
+from datamodules.recordings.hold import empty_cells, with_held_columns
 from datamodules.recordings.mapping import Mapping
 from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.topics import LOG_TIME, topic_of, topics_in
@@ -107,6 +108,7 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
     positions = match(words, POSITION, recorded, free)
     free = _without(free, positions)
     beside = {name: found.column for name, found in positions.items()}
+    recorded, empty = _on_rows_of(recorded, list(beside.values()), free)
     velocities = match(words, VELOCITY, recorded, free, beside)
     free = _without(free, velocities)
     driving = [c for c in free if not wants_motion(c)] if all(a.force for a in model.actuators) else free
@@ -122,6 +124,8 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
             continue
         _add_joint(draft, recorded, joint, positions.get(joint.name), velocities.get(joint.name), times, free)
     draft.actuators = {a.name: _command(recorded, a, commands.get(a.name)) for a in model.actuators}
+    for lines in (draft.positions, draft.velocities, draft.actuators):
+        lines |= {name: _held(line, empty) for name, line in lines.items()}
     draft.episodes = _episodes(recorded, rows)
     draft.left = [name for name in single_names(recorded) if name not in draft.used()]
     return draft
@@ -148,6 +152,28 @@ def _survey(path: Path | str, format: str | None) -> tuple[Recorded, dict[str, A
 def _is_numbered(recorded: Recorded) -> bool:
     """Whether a table came without a header, so that its columns are called 0, 1, ..."""
     return list(recorded.columns) == [str(i) for i in range(len(recorded.columns))]
+
+
+def _on_rows_of(recorded: Recorded, positions: list[str], others: list[str]) -> tuple[Recorded, dict[str, int]]:
+    """The rows of the position that has most, and how many cells are empty there of columns whose last value holds.
+
+    So a table is read whose topics were joined, each with rows of its own. A column that is filled in half of the rows
+    and more is of the position's own topic, and lacks some numbers.
+    """
+    cells = {name: empty_cells(recorded.columns[name]) for name in (*positions, *others)}
+    if not positions or topics_in(recorded.columns) or len({len(a) for a in cells.values()}) > 1:  # no table
+        return recorded, {}
+    clock = min(positions, key=lambda name: cells[name].sum())
+    rows = ~cells[clock]
+    held = {name: int(n) for name, a in cells.items() if (n := a[rows].sum()) > rows.sum() / 2}
+    joined = with_held_columns(recorded, list(held), [clock]) if held else recorded
+    return (joined, held) if len(joined.columns[clock]) > 1 else (recorded, {})
+
+
+def _held(line: Line, empty: dict[str, int]) -> Line:
+    """A channel's line; where its column has empty cells the last value holds."""
+    n = empty.get(line.entry["column"], 0) if line.entry else 0
+    return Line(line.entry | {"hold": True}, f"{line.why}; {n} empty cells, so the last value holds") if n else line
 
 
 def _without(free: list[str], taken: dict[str, Match]) -> list[str]:

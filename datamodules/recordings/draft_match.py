@@ -34,8 +34,9 @@ class Match:
 
 
 def usable_columns(recorded: Recorded) -> list[str]:
-    """Columns of finite numbers, each under one name."""
-    return [name for name in single_names(recorded) if is_finite(recorded.columns[name])]
+    """Columns of numbers, each under one name; where topics were joined, most cells of one may be empty."""
+    columns = {name: recorded.columns[name] for name in single_names(recorded)}
+    return [name for name, a in columns.items() if a.dtype.kind in "fiu" and a.ndim == 1 and np.isfinite(a).sum() > 1]
 
 
 def single_names(recorded: Recorded) -> list[str]:
@@ -81,14 +82,13 @@ def match(
     left = list(free)
     for _, column, subject in sorted(scored, key=lambda s: -s[0]):
         if subject not in taken and column in left:
-            shared = sorted(subjects[subject] & set(telling_words(column)))
+            shared = sorted(subjects[subject] & set(words_of(column)))
             taken[subject] = Match(column, f"{' and '.join(shared)} in its name")
             left.remove(column)
-    moving = [c for c in left if np.ptp(recorded.columns[c].astype(float)) > 0]
+    moving = [c for c in left if np.nanmax(recorded.columns[c]) > np.nanmin(recorded.columns[c])]
     taken |= _numbered(list(subjects), taken, kind, moving, topics_in(recorded.columns))
     if len(taken) == len(subjects) - 1:
-        alone = [c for c in left if c not in {m.column for m in taken.values()} and kind_of(c) == kind]
-        alone = [c for c in alone if np.ptp(recorded.columns[c].astype(float)) > 0]
+        alone = [c for c in moving if c not in {m.column for m in taken.values()} and kind_of(c) == kind]
         strong = [c for c in alone if not set(telling_words(c)) & set(WEAK)] or alone
         if len(strong) == 1:
             (subject,) = (s for s in subjects if s not in taken)

@@ -22,7 +22,7 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 100.0
 """Control period [s] beyond which a unit is wrong."""
 SMALLEST_IMAGE, LARGEST_IMAGE = 16, 1024
 """Side of an image, pixels."""
-CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant")
+CHANNEL_KEYS = ("column", "unit", "sign", "scale", "offset", "constant", "hold")
 PARTS: dict[Callable[[str, str], Unit], tuple[int, ...]] = {
     position_unit: (4, 7), velocity_unit: (3, 6), actuator_unit: (),
 }  # fmt: skip
@@ -36,6 +36,7 @@ class Channel:
     Attributes:
         key: its place in the map, such as ``joints.hip.position``, for messages.
         columns: one column; several for a ball or free joint, in the model's order; none for a constant.
+        hold: whether the last value holds in empty cells, as where it was logged at another rate than the rest.
         others: columns that are taken where a file does not have the one, the first that it has.
         unit: of the column.
         sign: 1 or -1.
@@ -50,6 +51,7 @@ class Channel:
     scale: float = 1.0
     offset: float = 0.0
     others: tuple[str, ...] = ()
+    hold: bool = False
 
     @property
     def alternatives(self) -> tuple[tuple[str, ...], ...]:
@@ -141,6 +143,12 @@ class Mapping:
         """The joints' velocities, in the order of the map; empty unless all were measured."""
         measured = [joint.velocity for joint in self.joints.values() if joint.velocity is not None]
         return measured if len(measured) == len(self.joints) else []
+
+    @property
+    def channels(self) -> list[Channel]:
+        """Positions and velocities of the joints, then commands."""
+        measured = [c for joint in self.joints.values() for c in (joint.position, joint.velocity) if c is not None]
+        return [*measured, *self.actuators.values()]
 
     def wanted(self) -> Iterator[tuple[str, ...]]:
         """Every column that the map names, with its alternatives; the first is the first joint's position."""
@@ -287,6 +295,7 @@ def _channel(key: str, value: Any, unit_of: Callable[[str, str], Unit]) -> Chann
         _number(f"{key}.scale", entry.get("scale", 1.0)),
         _number(f"{key}.offset", entry.get("offset", 0.0)),
         columns[1:],
+        _one_of(f"{key}.hold", entry.get("hold", False), (True, False)),
     )
 
 

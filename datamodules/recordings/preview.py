@@ -55,6 +55,7 @@ def _row(name: str, channel: Channel, column: str, values: np.ndarray) -> Row:
             f" x {channel.scale:g}" if channel.scale != 1 else "",
             " x -1" if channel.sign == -1 else "",
             f" {channel.offset:+g} {unit.si}".rstrip() if channel.offset and not channel.constant else "",
+            " held" if channel.hold else "",
         )
     )
     values = values.astype(np.float64)

@@ -73,10 +73,11 @@ class Recorded:
                 )
             values = values.astype(np.float64)
         if len(bad := np.flatnonzero(~np.isfinite(values))):
+            hold = "" if needed_by == "time.column" else "let the last value hold (hold: true of the channel), "
             raise RecordingError(
                 f"{self.source}: column {name!r}, {self.row(first[bad[0]])}: expected a number, got "
-                f"{values[bad[0]]} or nothing ({len(bad)} such rows); cut the recording there, fill the gap, or let "
-                "--repair leave such rows out"
+                f"{values[bad[0]]} or nothing ({len(bad)} such rows); cut the recording there, fill the gap, "
+                f"{hold}or let --repair leave such rows out"
             )
         return values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
 
