@@ -113,6 +113,10 @@ def draft(paths: list[str], model: Path, out: Path, format: str | None = None, a
     write_draft(out, made)
     missing = made.missing()
     print(f"{out}: a draft, made of {paths[0]}; read every line of it")
+    if len(paths) > 1:
+        print(
+            f"only that one of {len(paths)} recordings was looked at: they are not joined, each has episodes of its own"
+        )
     if missing:
         print(f"to fill in: {', '.join(missing)}")
     options = (f" --format {format}" if format else "") + (

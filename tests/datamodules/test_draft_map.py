@@ -129,6 +129,13 @@ def test_what_is_to_be_given_next_names_the_actuators_too(tmp_path, capsys):
     assert code == 0 and "--actuators motor --dry-run" in printed.out and "has no actuators" not in printed.out
 
 
+def test_of_several_recordings_it_is_said_that_one_was_looked_at(model, tmp_path, capsys):
+    first, second = (write_csv(tmp_path / f"{name}.csv", motion()) for name in "ab")
+    for name, files, said in (("one", [first], False), ("two", [first, second], True)):
+        code, printed = run(["import", *files, "--model", model, "--draft-map", tmp_path / f"{name}.yaml"], capsys)
+        assert code == 0 and ("only that one of 2 recordings was looked at" in printed.out) == said
+
+
 @pytest.mark.parametrize("write", [in_csv, in_npz, in_hdf5, in_lerobot, in_jsonl, in_mcap, in_db3, in_ulog])
 def test_a_draft_is_a_map_that_import_reads_as_it_is(write, model, tmp_path, capsys):
     path, draft, out = write(tmp_path), tmp_path / "map.yaml", tmp_path / "measured.h5"
