@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,14 @@ from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.formats import find, guess, read_recording
 from datamodules.recordings.hold import empty_cells, with_held_columns
 from datamodules.recordings.mapping import Mapping
-from datamodules.recordings.recorded import Recorded
+from datamodules.recordings.recorded import Recorded, is_number
 from datamodules.recordings.topics import LOG_TIME, topic_of, topics_in
 from datamodules.recordings.units import TIME, position_unit, velocity_unit
 
 MOST_SKIPPED = 20
 """Lines before a table's header that a draft finds by itself."""
+CUT_AT_COMMAS = re.compile(r"\d+[;\t] *[-+]?\d+")
+"""What stands between the commas of ``0,00;1,5``, whose columns have another separator."""
 EPISODE_WORDS = {"episode", "episodes", "run", "trial", "rollout", "trajectory"}
 
 
@@ -141,12 +144,29 @@ def _survey(path: Path | str, format: str | None) -> tuple[Recorded, dict[str, A
         except RecordingError as error:
             first = first or error
             continue
+        if table:
+            _refuse_decimal_commas(recorded)
         if table and not any(is_finite(values) for values in recorded.columns.values()):
             first = first or RecordingError(f"{path}: no column holds numbers; there is nothing to guess a map from")
             continue
         return recorded, {"skip_rows": skipped} if skipped else {}
     assert first is not None  # every attempt failed
     raise first
+
+
+def _refuse_decimal_commas(recorded: Recorded) -> None:
+    """Say where decimals are written with a comma; a draft would skip lines until commas separate columns.
+
+    Raises:
+        RecordingError: if a column is text only for its commas, or for what two of them have cut out of a line.
+    """
+    for name, cells in recorded.columns.items():
+        commas = [k for k, cell in enumerate(cells) if cells.dtype.kind == "O" and "," in cell]
+        if commas and all(is_number(cell.replace(",", ".") or 0) for cell in cells):
+            recorded.numbers(name, name, slice(commas[0], commas[0] + 1))
+        if cells.dtype.kind == "O" and all(map(CUT_AT_COMMAS.fullmatch, cells)):
+            where = f"{recorded.source}: {recorded.row(0)}"
+            raise RecordingError(f"{where}: {cells[0]!r} stands between two commas; write decimals with a point")
 
 
 def _is_numbered(recorded: Recorded) -> bool:

@@ -298,6 +298,21 @@ def test_a_draft_needs_a_model_and_no_map(model, tmp_path, capsys):
     assert code == 2 and "--map --draft-map" in printed.err
 
 
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("t;q_sh;q_el\n0,00;1,5;2,0\n0,01;1,25;2,5\n", "column 't', line 2: expected a number, got '0,00'"),
+        ("t;q_sh;q_el\n0;;2,0\n1;1.5;3\n", "column 'q_el', line 2: expected a number, got '2,0'"),
+        ("0,00;1,5;2,0\n0,01;1,25;2,5\n", "line 2: '01;1' stands between two commas"),
+    ],
+)
+def test_decimal_commas_are_an_error_and_no_separators(text, wrong, model, tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=f"{wrong}; write decimals with a point"):
+        draft_map(path, read_layout(model))
+
+
 def test_a_file_of_texts_has_nothing_to_guess_from(model, tmp_path):
     (tmp_path / "run.csv").write_text("a,b\nx,y\nz,w\n")
     with pytest.raises(RecordingError, match=r"run\.csv: no column holds numbers"):
