@@ -103,9 +103,10 @@ class StillImages(Dataset):
         for name, (h, w) in zip(self.names, self.sizes, strict=True):
             if (h, w) != self.sizes[0]:
                 (h0, w0), first = self.sizes[0], self.names[0]
+                both = Fitted.nearest(min(h0, h), min(w0, w), self.fit.how)
                 raise ImageError(
                     f"{self.where}: images differ in size: {first} is {h0}x{w0} and {name} {h}x{w} (height x width). "
-                    f"Choose one size for all with --data.size, for example --data.size [{min(h0, h)}, {min(w0, w)}]."
+                    f"Choose one size for all with --data.size, for example --data.size [{both.height},{both.width}]"
                 )
 
     def stacks(self, index: Sequence[int]) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Images from folders, datasets and trajectory files: read right, at one size, and plain about what is wrong."""
 
+import shlex
+
 import h5py
 import numpy as np
 import pytest
@@ -106,9 +108,10 @@ def test_folders_in_folders_are_looked_through_and_hidden_files_are_not(tmp_path
 
 
 def test_images_of_different_sizes_need_a_chosen_size(photos):
-    save(photos / "trainA" / "large.png", picture(40, 20))
-    with pytest.raises(ImageError, match=r"differ in size: 0\.png is 12x20 and large\.png 40x20.*--data\.size"):
+    save(photos / "trainA" / "large.png", picture(40, 19))
+    with pytest.raises(ImageError, match=r"differ in size: 0\.png is 12x20 and large\.png 40x19.*--data\.size") as told:
         from_folder(photos / "trainA", Reading())
+    assert shlex.split(str(told.value))[-2:] == ["--data.size", "[12,20]"]  # one word of a command, multiples of 4
     assert from_folder(photos / "trainA", Reading((16, 24))).frames.shape == (6, 16, 24, 3)
 
 
