@@ -30,9 +30,9 @@ class SuggestingParser(argparse.ArgumentParser):
     """Says which option may have been meant."""
 
     def error(self, message: str) -> NoReturn:
-        if found := re.fullmatch(r"unrecognized arguments: (--[\w-]+).*", message):
-            if near := get_close_matches(found[1], list(self._option_string_actions), 1):
-                message += f"; did you mean {near[0]}?"
+        found = re.fullmatch(r"unrecognized arguments: (--[\w-]+).*", message)
+        if found and (near := get_close_matches(found[1], list(self._option_string_actions), 1)):
+            message += f"; did you mean {near[0]}?"
         super().error(message)
 
 
