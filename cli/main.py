@@ -10,8 +10,9 @@ import re
 import sys
 import warnings
 
+import wrapt
+
 from cli.interrupt import Interrupted, interruptible, leave_within
-from datamodules.once_loaded import once_loaded
 
 COMMANDS = {
     "fit": "ground the source in the target and train the policy there (Algorithm 1)",
@@ -86,7 +87,7 @@ def run_command(name: str, args: list[str], debug: bool) -> int:
     try:
         importlib.import_module("idapt_pl")  # before mujoco, for rendering; here, as `idapt --help` need not wait
         say_what_matters()
-        once_loaded("lightning.pytorch", say_what_matters)
+        wrapt.register_post_import_hook(lambda _: say_what_matters(), "lightning.pytorch")
         module = f"{name}_" if keyword.iskeyword(name) else name  # `import` is in cli/import_.py
         return importlib.import_module(f"cli.{module}").main(args)
     except Exception as error:

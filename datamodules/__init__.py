@@ -5,10 +5,13 @@ Most of what is in this package needs neither torch nor Lightning, which take se
 
 from typing import TYPE_CHECKING
 
-from datamodules.once_loaded import on_demand, once_loaded
+import wrapt
+
+from datamodules.on_demand import on_demand
 from datamodules.torchvision_compat import ensure_torchvision
 
-once_loaded("torch", ensure_torchvision)  # before anything imports Lightning, which imports torch first
+# before anything imports Lightning, which imports torch first
+wrapt.register_post_import_hook(ensure_torchvision, "torch")
 
 if TYPE_CHECKING:
     from datamodules.on_policy import OnPolicyDataModule

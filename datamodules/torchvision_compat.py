@@ -15,15 +15,13 @@ from typing import Any
 _DECLARED: list[Any] = []  # a Library is undone when it is collected
 
 
-def ensure_torchvision() -> None:
-    """Import torchvision, declaring its missing operators where that is what stops it."""
+def ensure_torchvision(torch: Any) -> None:
+    """Import torchvision, declaring its missing operators where that is what stops it; torch is there by then."""
     try:
         import torchvision
     except RuntimeError as error:
         if "torchvision::nms" not in str(error):
             raise
-        import torch
-
         for name in [m for m in sys.modules if m == "torchvision" or m.startswith("torchvision.")]:
             del sys.modules[name]
         library = torch.library.Library("torchvision", "DEF")

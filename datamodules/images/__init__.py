@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from datamodules.once_loaded import on_demand
+from datamodules.on_demand import on_demand
 
 if TYPE_CHECKING:
     from datamodules.images.augmentation import Augmentation

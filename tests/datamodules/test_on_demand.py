@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from datamodules.once_loaded import on_demand, once_loaded
+from datamodules.on_demand import on_demand
 
 
 def printed(program):
@@ -31,25 +31,10 @@ def test_what_is_loaded_later_is_prepared_all_the_same():
         "assert 'torch' not in sys.modules\n"
         "from datamodules import *\n"
         "assert 'torchvision' in sys.modules and UnpairedImages.__module__ == 'datamodules.unpaired'\n"
+        "import torch; assert torch.tensor([1e-40]).mul(1).item() == 0, 'denormals are flushed'\n"
         "print(logging.getLogger('lightning.pytorch').level == logging.WARNING)\n"
     )
     assert printed(program) == "True\n"
-
-
-def test_what_waits_for_a_module_is_done_once_it_is_there_and_in_order(tmp_path, monkeypatch):
-    (tmp_path / "waited_for.py").write_text("done = []")
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def note(what):
-        return lambda: sys.modules["waited_for"].done.append(what)
-
-    once_loaded("waited_for", note(1))
-    once_loaded("waited_for", note(2))
-    import waited_for
-
-    assert waited_for.done == [1, 2]
-    once_loaded("waited_for", note(3))
-    assert waited_for.done == [1, 2, 3]
 
 
 def test_a_name_that_a_package_does_not_have_is_an_error():
