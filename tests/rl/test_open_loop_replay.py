@@ -101,11 +101,13 @@ def rehearsed_run(tmp_path_factory, tiny_args):
     return run, args
 
 
+@pytest.mark.slow  # a whole run
 def test_a_run_that_rehearses_costs_no_further_target_interactions(rehearsed_run):
     summary = json.loads((rehearsed_run[0] / "summary.json").read_text())
     assert summary["target_interactions"] == TINY["schedule.images"] + TINY["schedule.interactions"]
 
 
+@pytest.mark.slow  # a whole run
 def test_the_targets_recording_holds_images_and_actions_only(rehearsed_run):
     episodes = read_trajectories(rehearsed_run[0] / "step_00/target.h5")
     assert all(set(e.observations) == {"pixels"} and e.rewards is None for e in episodes)
@@ -113,6 +115,7 @@ def test_the_targets_recording_holds_images_and_actions_only(rehearsed_run):
     assert len(actions) == TINY["schedule.images"] and actions.std() > 0.01
 
 
+@pytest.mark.slow  # a whole run
 def test_a_run_that_lost_its_exploration_repeats_it_bitwise(rehearsed_run):
     run, args = rehearsed_run
     path = run / "step_00/source.h5"
