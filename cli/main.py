@@ -42,6 +42,7 @@ HARMLESS = (
     "Total length of `list` across ranks is zero",  # there are no test images
     "The number of training batches \\(\\d+\\) is smaller than the logging interval",
     "\\(655\\d\\d\\) ",  # glfw, on a machine without a screen
+    "compiler attribute 'settotalmass' is deprecated",  # of published models, at every compilation
 )
 """Warnings of other packages that a user can do nothing about, as patterns of how they begin."""
 
@@ -104,6 +105,12 @@ def say_what_matters() -> None:
         logging.getLogger(noisy).setLevel(logging.WARNING)
     for message in HARMLESS:
         warnings.filterwarnings("ignore", message)
+    logging.getLogger("absl").addFilter(may_matter)  # dm_control logs what MuJoCo warns of
+
+
+def may_matter(record: logging.LogRecord) -> bool:
+    """Whether a user can do something about what is logged."""
+    return not any(re.match(pattern, record.getMessage()) for pattern in HARMLESS)
 
 
 def in_words(name: str, error: Exception) -> str:

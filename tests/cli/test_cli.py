@@ -1,6 +1,7 @@
 """The command line: every config parses; a user's mistake gets a short message and the right exit code."""
 
 import json
+import logging
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import pytest
 from conftest import QUICK, ROOT
 
 from cli.fit import GroundingCLI
-from cli.main import COMMANDS, main
+from cli.main import COMMANDS, main, say_what_matters
 from cli.provenance import claim
 from datamodules import read_trajectories
 
@@ -271,3 +272,10 @@ def test_an_option_that_is_misspelt_is_guessed(capsys):
     with pytest.raises(SystemExit):
         main(["excite", "--model", "m.xml", "--report", "r", "--out", "o.csv", "--sede", "1"])
     assert "unrecognized arguments: --sede 1; did you mean --seed?" in capsys.readouterr().err
+
+
+def test_what_nobody_can_do_anything_about_is_not_logged(caplog):
+    say_what_matters()
+    logging.getLogger("absl").warning("compiler attribute 'settotalmass' is deprecated and will be removed")
+    logging.getLogger("absl").warning("the simulation is unstable")
+    assert caplog.messages == ["the simulation is unstable"]
