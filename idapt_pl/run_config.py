@@ -176,7 +176,7 @@ class RunConfig:
         values = {name: config[name] for name in cls.__dataclass_fields__ if name != "modules"}
         made = cls(**values, modules={name: config[name].as_dict() for name in MODULES})
         made.check_ranges()
-        made.check_encoder()
+        made.check_contradictions()
         made.check_recurrence()
         made.check_oracle()
         return made
@@ -254,11 +254,11 @@ class RunConfig:
                 "benchmarks/bounds.py` trains one on states"
             )
 
-    def check_encoder(self) -> None:
-        """Only a supervised encoder can be regressed on states before the policy trains; better said before hours of G.
+    def check_contradictions(self) -> None:
+        """See that settings do not exclude each other, which is better said before hours of G.
 
         Raises:
-            ValueError: if another one is to be.
+            ValueError: naming two that do.
         """
         encoder = self.modules["policy"]["encoder"]
         for name in ("pretrain", "finetune"):
