@@ -27,6 +27,12 @@ from idapt_pl.tasks import Task
 
 ROOT = Path(idapt_pl.__file__).parent.parent
 
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files beside this one first: whole runs are in them, and processes that share the files then end together."""
+    items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
+
+
 CART = """
 <mujoco><option timestep="0.01"/>
   <worldbody><light pos="0 0 3"/>
