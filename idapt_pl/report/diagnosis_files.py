@@ -153,9 +153,8 @@ def write_loadable_model(path: Path, xml: str) -> None:
 
 def log_diagnosis(folder: Path, diagnosis: Diagnosis, drawn: dict[str, Figure]) -> None:
     """Errors, estimates with their intervals, the verdict and the figures; events of an earlier run are removed."""
-    from torch.utils.tensorboard import (
-        SummaryWriter,
-    )  # torch takes seconds to load, and a diagnosis needs it here alone
+    # torch takes seconds to load, and a diagnosis needs it here alone
+    from torch.utils.tensorboard import SummaryWriter
 
     result = diagnosis.result
     for old in folder.glob("events.out.tfevents.*"):
