@@ -42,8 +42,10 @@ def first_activations(model: mujoco.MjModel, qpos: np.ndarray, commands: np.ndar
     An integrator, whose state is the set-point of a servo, is where its joint is; others are at their command.
     """
     out, servos = commanded_activations(model, commands), integrators(model)
+    if not len(servos):
+        return out
     ranges, data = activation_ranges(model, servos), mujoco.MjData(model)
-    for row, q in zip(out, qpos, strict=True) if len(servos) else ():
+    for row, q in zip(out, qpos, strict=True):
         data.qpos[:] = q
         mujoco.mj_fwdPosition(model, data)
         row[model.actuator_actadr[servos]] = data.actuator_length[servos].clip(*ranges)
