@@ -43,7 +43,8 @@ from cli.provenance import git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
 from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.robot_files import parse_actuators, read_robot
+from idapt_pl.robot_files.actuators import parse_actuators
+from idapt_pl.robot_files.read import read_robot
 
 FIELDS = (
     "set", "episodes", "rows", "joints", "held_out", "judged_by", "before", "plain_fit", "pace", "sysid", "after",

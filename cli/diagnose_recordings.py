@@ -33,7 +33,8 @@ from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write
 from idapt_pl.report.fault_section import consequence, fault_sentence
 from idapt_pl.report.sets_section import comparison_sentences, set_cells, set_heads
 from idapt_pl.report.stretch_section import stretch_sentences
-from idapt_pl.robot_files import parse_actuators, read_robot
+from idapt_pl.robot_files.actuators import parse_actuators
+from idapt_pl.robot_files.read import read_robot
 from idapt_pl.stretches import diagnose_stretches, mark_by_conditions
 from idapt_pl.stretches.conditions import BadCondition, idle_conditions
 from idapt_pl.stretches.stretch import marked_steps

@@ -167,7 +167,8 @@ def read_layout(path: Path, actuators: str | None = None) -> ModelLayout:
     Raises:
         RecordingError: if the model cannot be read.
     """
-    from idapt_pl.robot_files import parse_actuators, read_robot
+    from idapt_pl.robot_files.actuators import parse_actuators
+    from idapt_pl.robot_files.read import read_robot
 
     try:
         model = read_robot(path, None if actuators is None else parse_actuators(actuators)).spec.compile()

@@ -32,12 +32,13 @@ def name_list(names: Iterable[str]) -> str:
     return ", ".join(every[:MOST_LISTED]) + more
 
 
-def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
-    """Edit a URDF so that MuJoCo reads it; what is lost of it, in sentences.
+def mend_urdf(root: ET.Element, folder: Path, looks: bool = False) -> list[str]:
+    """Edit a URDF so that MuJoCo reads it; what had to be left out or guessed, in sentences.
 
     Args:
         root: its ``robot`` element, edited in place.
         folder: where meshes are looked for; ``package://`` also in the folders above.
+        looks: keep what is only seen.
 
     Raises:
         ValueError: it is xacro, which has to be expanded first, or a joint names a link that is not there.
@@ -46,14 +47,29 @@ def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
         raise ValueError("this is xacro, not URDF: expand it first, as in `xacro robot.urdf.xacro > robot.urdf`")
     name_the_world(root)
     check_links(root)
-    notes = [*drop_shapes(root, folder), *mend_inertials(root), *joints_lost(root)]
+    compiler_of(root).set("strippath", "false")
+    seen = keep_looks(root, folder) if looks else drop_looks(root, folder)
+    return [*seen, *drop_shapes(root, folder), *mend_inertials(root)]
+
+
+def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
+    """Edit a URDF for a diagnosis, which looks at no shape that is only seen; what is lost of it, in sentences.
+
+    Args:
+        root: its ``robot`` element, edited in place.
+        folder: where meshes are looked for.
+
+    Raises:
+        ValueError: as ``mend_urdf`` does.
+    """
+    notes = [*mend_urdf(root, folder), *joints_lost(root)]
     for tag, words in DROPPED.items():
         if found := root.findall(tag):
             named_joints = [j.get("name", "") for t in found for j in t.iter("joint")]
             notes.append(f"{words}{f' ({name_list(named_joints)})' if any(named_joints) else ''}")
             for element in found:
                 root.remove(element)
-    compiler_of(root).attrib |= {"strippath": "false", "fusestatic": "true"}
+    compiler_of(root).set("fusestatic", "true")
     return notes
 
 
@@ -100,29 +116,50 @@ def check_links(root: ET.Element) -> None:
 # --- shapes ---------------------------------------------------------------------------------------------
 
 
-def drop_shapes(root: ET.Element, folder: Path) -> list[str]:
-    """Leave out what is only seen, and collision meshes that cannot be read; a sentence for each that touches."""
-    notes, unseen = [], []
+def drop_looks(root: ET.Element, folder: Path) -> list[str]:
+    """Leave out what is only seen; a sentence of meshes that are not there anyway."""
+    unseen = []
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             unseen += [m.get("filename", "") for m in visual.iter("mesh") if find_robot_mesh(m, folder) is None]
             link.remove(visual)
-        for collision in link.findall("collision"):
-            for mesh in collision.iter("mesh"):
-                path, name = find_robot_mesh(mesh, folder), mesh.get("filename", "")
-                if path is None or path.suffix.lower() not in MESHES:
-                    why = "is not there" if path is None else f"is no {', '.join(MESHES)}"
-                    notes.append(
-                        f"link {link.get('name')}: its collision mesh {name} {why}: it touches nothing with it"
-                    )
-                    link.remove(collision)
-                    break
-                mesh.set("filename", str(path))
-    if unseen:
-        notes.append(
-            f"{len(set(unseen))} visual meshes are not there ({name_list(unseen)}): a diagnosis does not need them"
-        )
+    if not unseen:
+        return []
+    return [f"{len(set(unseen))} visual meshes are not there ({name_list(unseen)}): a diagnosis does not need them"]
+
+
+def keep_looks(root: ET.Element, folder: Path) -> list[str]:
+    """Keep what is only seen, but for meshes that cannot be read; a sentence for each of these."""
+    notes = []
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            if problem := mesh_problem(visual, folder):
+                notes.append(f"link {link.get('name')}: its visual {problem}: it is not seen")
+                link.remove(visual)
     return list(dict.fromkeys(notes))
+
+
+def drop_shapes(root: ET.Element, folder: Path) -> list[str]:
+    """Leave out collision meshes that cannot be read; a sentence for each."""
+    notes = []
+    for link in root.findall("link"):
+        for collision in link.findall("collision"):
+            if problem := mesh_problem(collision, folder):
+                notes.append(f"link {link.get('name')}: its collision {problem}: it touches nothing with it")
+                link.remove(collision)
+    return list(dict.fromkeys(notes))
+
+
+def mesh_problem(shape: ET.Element, folder: Path) -> str | None:
+    """Why a shape's mesh cannot be read, None where it can; its path is written where it was found."""
+    for mesh in shape.iter("mesh"):
+        path, name = find_robot_mesh(mesh, folder), mesh.get("filename", "")
+        if path is None:
+            return f"mesh {name} is not there"
+        if path.suffix.lower() not in MESHES:
+            return f"mesh {name} is no {', '.join(MESHES)}"
+        mesh.set("filename", str(path))
+    return None
 
 
 def find_robot_mesh(mesh: ET.Element, folder: Path) -> Path | None:

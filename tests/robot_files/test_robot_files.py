@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.robot_files import add_actuators, parse_actuators, read_robot
-from idapt_pl.robot_files.read import is_urdf
+from idapt_pl.robot_files.actuators import add_actuators, parse_actuators
+from idapt_pl.robot_files.read import is_urdf, read_robot
 
 BOX = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
 MASS = '<inertial><mass value="{m}"/><inertia ixx="{x}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -360,6 +360,20 @@ def test_meshes_of_a_urdf_are_looked_for_beside_it(tmp_path):
     assert (model.ngeom, model.nmesh) == (1, 1)
 
 
+def test_a_urdf_as_people_have_them_is_read_as_far_as_possible_and_says_what_is_not(tmp_path):
+    (tmp_path / "rod.dae").write_text("<COLLADA/>")  # what most visual meshes of ROS are
+    text = MESH.replace("rod.obj", "rod.dae").replace('ixx="0.1" iyy="0.1" izz="0.1"', 'ixx="0" iyy="0" izz="0"')
+    shape = "<collision><geometry><box size='.1 .1 .6'/></geometry></collision></link>\n  <joint"
+    (tmp_path / "arm.urdf").write_text(text.replace("</link>\n  <joint", shape))
+    with pytest.warns(UserWarning) as warned:
+        model = robot_spec(tmp_path / "arm.urdf").compile()
+    said = str(warned[0].message)
+    assert "its visual mesh package://arm/rod.dae is no .stl, .obj, .msh: it is not seen" in said
+    assert "no inertia given for rod" in said and warned[0].filename == __file__
+    assert model.ngeom == 1 and {model.body(i).name for i in range(model.nbody)} >= {"base", "rod"}
+    assert (model.body("rod").inertia > 0).all() and model.body("rod").mass == pytest.approx(1)
+
+
 @pytest.mark.parametrize("content", [None, "<robot", "<mujoco><bodies/></mujoco>"])
 def test_a_model_that_cannot_be_read_is_named(tmp_path, content):
     path = tmp_path / "arm.xml"
