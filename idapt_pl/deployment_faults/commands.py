@@ -15,6 +15,7 @@ import numpy as np
 from idapt_pl.deployment_faults.forecast import RecordingForecasts, Signals, Starts, forecast, gather
 from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.model_mend import mended_model
+from idapt_pl.estimation.robust import robust_deviation
 
 FURTHEST = 16
 """Shifts that are tried, in control steps to either side."""
@@ -139,7 +140,7 @@ class Nuisance:
 
 def in_usual_units(need: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Need and response in units of the usual need of each degree of freedom; outliers, as of contacts, are cut."""
-    scale = 1.4826 * np.median(np.abs(need), 0)
+    scale = robust_deviation(need)
     scale = np.maximum(scale, 0.3 * need.std(0)) + 1e-9
     return (need / scale).clip(-6, 6), response / scale[:, None]
 

@@ -18,6 +18,7 @@ from idapt_pl.deployment_faults.hypotheses import Hypothesis
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Drive, Mend
 from idapt_pl.deployment_faults.model_mend import with_drives
+from idapt_pl.estimation.robust import robust_deviation
 
 SURE_OF_DRIVE = 6.0
 """Standard errors from nothing at which a joint's position (or command) is taken to count."""
@@ -97,7 +98,7 @@ def drive_laws(
     room, off = mujoco.MjData(bare), np.zeros((len(at), 1, model.nu))
     still = forecast(bare, room, qpos, qvel, off, period)
     need, columns = np.nan_to_num(after - still), []
-    usual = 1.4826 * np.median(np.abs(need), 0) + 1e-9
+    usual = robust_deviation(need) + 1e-9
     for i, j in driven.items():
         on = off.copy()
         on[..., i] = size = 1e-2 * (np.abs(u[:, i]).mean() + 1e-6)

@@ -16,6 +16,7 @@ import numpy as np
 from datamodules import Episode, Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.diagnosis.data import LEFT_OUT, measured_signals
+from idapt_pl.estimation.robust import robust_deviation
 
 MOST_LOST = 4
 """Rows lost in a row that are told from one step."""
@@ -102,7 +103,7 @@ def usual_mismatch(channels: list[JointMotion | None], dt: float) -> np.ndarray 
     if not every or not np.isfinite(dt) or dt <= 0:
         return None
     both, moved = np.concatenate(every), np.concatenate([np.diff(c[0], axis=0) for c in channels if c is not None])
-    usual = 1.4826 * np.median(np.abs(both), 0) + 1e-9
+    usual = robust_deviation(both) + 1e-9
     agree = np.median(np.abs(both), 0) < 0.3 * np.median(np.abs(moved), 0) + 1e-12
     return np.where(agree, usual, np.inf) if agree.any() else None
 

@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from idapt_pl.diagnosis.data import SLOPE_HALF_WIDTH, Recording, Windows, position_difference, slopes
 from idapt_pl.diagnosis.simulator import Effects, Simulator
+from idapt_pl.estimation.robust import robust_deviation
 
 LEAST_OF_KIND = 0.5
 """Share of the median noise of sensors of its kind that a sensor has at least."""
@@ -42,7 +43,7 @@ def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: b
     for episodes in signals if velocities else signals[:1]:
         each = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
         rough = np.concatenate(each) if each else np.full((1, model.nv), np.inf)
-        random = 1.4826 * np.median(np.abs(rough - np.median(rough, 0)), 0) / np.linalg.norm(weights)
+        random = robust_deviation(rough - np.median(rough, 0)) / np.linalg.norm(weights)
         parts.append(np.maximum(random, rounding_noise(episodes)))
     return parts
 
@@ -119,7 +120,7 @@ def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarra
     )
     dt = float(np.median(np.diff(data[0].time)))
     random = 2**0.5 * sensors / (2 * dt * max(1, round(SLOPE_HALF_WIDTH / dt)))
-    return np.hypot(random, bent * 1.4826 * np.median(np.abs(narrow - wide), 0) / 3)
+    return np.hypot(random, bent * robust_deviation(narrow - wide) / 3)
 
 
 def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +163,7 @@ def fit_variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.nd
         rounds: of re-weighting.
     """
     n, p = len(A), A.shape[-1]
-    spread = np.square(1.4826 * np.median(np.abs(residual[:, 0]), 0)) + 1e-30
+    spread = np.square(robust_deviation(residual[:, 0])) + 1e-30
     typical, channels = np.median(A[:, 0], 0), len(spread)
     guess = spread / typical[:, :channels].diagonal()
     if p > channels:

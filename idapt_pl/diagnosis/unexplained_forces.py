@@ -17,6 +17,7 @@ from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, lacking_forces, measured_motion
 from idapt_pl.diagnosis.search_state import SearchState, renew
 from idapt_pl.diagnosis.simulator import Effects, Simulator
+from idapt_pl.estimation.robust import robust_deviation
 
 FAR_BEYOND, HOPELESS = 1e3, 1e5
 """Held-out loss of a finished search from which noise is no yardstick, and that of one that leads nowhere."""
@@ -54,7 +55,7 @@ def contradicts_forces(context: SearchContext, state: SearchState) -> bool:
     def left(effects: Effects) -> float:
         lacking = lacking_forces(context.sim, effects, instants)
         noise = lacking_forces(noisier, effects, instants) - lacking
-        typical, by_noise = (1.4826 * np.median(np.abs(x), 0) for x in (lacking, noise))
+        typical, by_noise = (robust_deviation(x) for x in (lacking, noise))
         surely = np.maximum(np.square(typical) - np.square(by_noise), 0.0)
         return float(np.sqrt((surely / np.square(nothing_explains + 1e-12)).mean()))
 
@@ -95,7 +96,7 @@ def unexplained_forces(context: SearchContext, state: SearchState) -> np.ndarray
     left, rows = [], min(len(force), len(other))
     for v in range(context.sim.model.nv):
         features = features_of(context, fit, v, rows), features_of(context, judged, v, rows)
-        left.append(1.4826 * np.median(np.abs(other[:, v] - predicted(*features, force[:, v]))))
+        left.append(robust_deviation(other[:, v] - predicted(*features, force[:, v])))
     return np.array(left)
 
 

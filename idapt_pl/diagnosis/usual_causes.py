@@ -21,6 +21,7 @@ from idapt_pl.diagnosis.unexplained_forces import judge_by_forces, unexplained_f
 from idapt_pl.effects.base import ACTUATED, Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+from idapt_pl.estimation.robust import robust_deviation
 
 log = logging.getLogger(__name__)
 AT_EVERY_JOINT: tuple[type[Effect], ...] = (JointDamping, JointFrictionloss, JointArmature)
@@ -45,7 +46,7 @@ def begin_with_usual_causes(context: SearchContext, state: SearchState) -> Searc
     found = [a for v in range(context.sim.model.nv) for a in usual_causes(context, motion, lacking[:, v], v)]
     accepted = tuple(AcceptedEffect(k, c, x) for k, (c, x) in enumerate(found))
     with_all = replace(state, accepted=accepted)
-    left = 1.4826 * np.median(np.abs(lacking_forces(context.sim, with_all.effects, instants)), 0)
+    left = robust_deviation(lacking_forces(context.sim, with_all.effects, instants))
     size = np.maximum(np.minimum(unexplained_forces(context, state), left), ROOM * left)
     size = np.maximum(size, OF_THE_LARGEST * size.max() + 1e-12)
     with_all = refit_accepted(context, judge_by_forces(context, with_all, size))

@@ -19,6 +19,7 @@ from torch import Tensor
 from idapt_pl.effects import Domain
 from idapt_pl.effects.acting import has_laws
 from idapt_pl.estimation.least_squares import huber_weights, project_out
+from idapt_pl.estimation.robust import robust_deviation
 from idapt_pl.modules import ActionTransformation
 from idapt_pl.tasks import Task
 
@@ -156,7 +157,7 @@ class TrajectoryMatching:
             left, S, J = self.linearise(p, free, starts)
             Q = np.linalg.qr(S)[0]
             r, K = project_out(Q, left[..., None]), project_out(Q, J)
-            scale = 1.4826 * float(np.median(np.abs(r)))
+            scale = float(robust_deviation(r.ravel()))
             weighted = K * (huber_weights(r, 3 * scale) / scale**2)
             H, g = np.einsum("nij,nik->jk", weighted, K), np.einsum("nij,ni->j", weighted, r[..., 0])
             move = np.linalg.solve(H + ridge * np.eye(len(free)), g - ridge * p[free])
