@@ -17,6 +17,13 @@ from conftest import ROOT
 from cli.interrupt import ONE_PRESS, Interrupted, interruptible
 from cli.main import main
 
+ON_ESTIMATES = {
+    "teacher__steps": 16, "teacher__adapt": 12, "teacher__harden": 12, "teacher__dagger": 0, "teacher__rehearse": 64,
+    "policy__memory": 8, "filter__stretch": 10, "labels__members": 8, "schedule__source_policy": 0,
+    **{f"schedule__{part}__{name}": n for part in ("pretrain", "finetune")
+       for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
+}  # fmt: skip
+"""A teacher that acts on what a filter makes of readings."""
 CODES = {signal.SIGINT: (130, "Ctrl-C"), signal.SIGTERM: (143, "SIGTERM")}
 
 
@@ -54,13 +61,32 @@ def handlers_put_back():
 LONG = 1_000_000
 STAGES = {
     "recording": ({"schedule__images": LONG}, "run.json"),
+    "looks": ({"effects__looks": "true"}, "step_00/target.h5"),
     "P_S": ({"schedule__pretrain__state_predictor": LONG}, "step_00/state_predictor/hparams.yaml"),
     "SAC": ({"schedule__source_policy": LONG}, "step_00/source_policy/hparams.yaml"),
+    "SAC beside G": (
+        {"schedule__source_policy": LONG, "schedule__pretrain__visual": LONG, "side_by_side": "true", "threads": 1},
+        "step_00/source_policy/hparams.yaml",
+    ),
     "evaluation": ({"episodes": LONG}, "step_00/source_policy/final.ckpt"),
     "G": ({"schedule__pretrain__visual": LONG}, "step_00/visual/hparams.yaml"),
+    "estimator": ({"schedule__pretrain__estimator": LONG}, "step_00/estimator/hparams.yaml"),
+    "control": ({"effects__discover": "true", "schedule__images": 3000}, "step_00/estimator/final.ckpt"),
     "effects": ({"effects__discover": "true", "schedule__images": 400}, "step_00/control.h5"),
+    "convergence": ({"schedule__until_settled": "true"}, "step_01/target.h5"),
     "F": ({"schedule__finetune__dynamics": LONG}, "step_01/dynamics/hparams.yaml"),
-}
+    "teacher": ({"teacher__steps": LONG}, "step_00/source_teacher/hparams.yaml"),
+    "student": ({"teacher__steps": 16, "teacher__dagger": LONG}, "step_00/source_student/hparams.yaml"),
+    "rehearsal": (ON_ESTIMATES | {"teacher__rehearse": LONG}, "step_00/source_start/final.ckpt"),
+    "encoder": (
+        ON_ESTIMATES | {"schedule__pretrain__rehearsed": LONG}, "step_00/source_estimator_teacher/hparams.yaml",
+    ),
+    "filter": (ON_ESTIMATES | {"schedule__pretrain__filter": LONG}, "step_00/source_filter_teacher/hparams.yaml"),
+    "labels": (ON_ESTIMATES | {"labels__members": 96, "schedule__images": 400}, "step_00/reading_errors.json"),
+    "adapted teacher": (ON_ESTIMATES | {"teacher__adapt": LONG}, "step_00/teacher/hparams.yaml"),
+    "hardened teacher": (ON_ESTIMATES | {"teacher__harden": LONG}, "step_00/hardened_teacher/hparams.yaml"),
+}  # fmt: skip
+"""What makes a stage long enough to be met in, and the file that tells that it has begun."""
 
 
 def assert_says_how_to_go_on(folder, code, said, number):

@@ -123,7 +123,7 @@ def often(config, name):
     ("config", "name"),
     [
         pytest.param(c, n, id=f"{c.stem}-{n}", marks=[] if often(c, n) else pytest.mark.slow)
-        for c in CONFIGS if c.stem.endswith("_quick") for n in METHODS
+        for c in CONFIGS for n in METHODS
     ],
 )  # fmt: skip
 def test_a_methods_preset_gives_what_it_says_and_leaves_the_rest(config, name):

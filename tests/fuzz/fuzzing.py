@@ -18,7 +18,7 @@ from cli.visual import VisualCLI
 
 LONGEST = 10.0
 """Seconds that a wrong input may take to be refused."""
-LINES = 3
+LINES = 2
 """Of stderr that a refusal may take; a parser's usage comes on top."""
 
 
