@@ -84,6 +84,12 @@ def test_losses_that_run_away_are_noted(series, caplog):
     assert words.startswith("visual/cycle ended at ") and words in caplog.text
 
 
+@pytest.mark.parametrize("name", ["visual/g_target", "visual/d_target", "dynamics/discriminator"])
+def test_networks_of_every_stage_are_watched(name):
+    (words,) = ran_away(SICK["grows"], name)
+    assert words.startswith(f"{name} ended at ")
+
+
 def test_critics_losses_may_grow_with_the_values():
     assert ran_away([1.05**i for i in range(200)], "policy/critic_loss") == []
 

@@ -75,7 +75,7 @@ STAGES = {
     "effects": ({"effects__discover": "true", "schedule__images": 400}, "step_00/control.h5"),
     "convergence": ({"schedule__until_settled": "true"}, "step_01/target.h5"),
     "F": ({"schedule__finetune__dynamics": LONG}, "step_01/dynamics/hparams.yaml"),
-    "teacher": ({"teacher__steps": LONG}, "step_00/source_teacher/hparams.yaml"),
+    "teacher": ({"teacher__steps": LONG, "teacher__dagger": 16}, "step_00/source_teacher/hparams.yaml"),
     "student": ({"teacher__steps": 16, "teacher__dagger": LONG}, "step_00/source_student/hparams.yaml"),
     "rehearsal": (ON_ESTIMATES | {"teacher__rehearse": LONG}, "step_00/source_start/final.ckpt"),
     "encoder": (

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,23 @@ def test_evaluating_beside_a_fit_loses_no_entry(moved, capsys):
     entries = json.loads((moved / "ledger.json").read_text())["entries"]
     assert (2, "evaluation") in [(e["step"], e["purpose"]) for e in entries]
     assert sum("1 episodes, seed 12345" in e["purpose"] for e in entries) == 4
+
+
+@pytest.mark.slow
+def test_evaluations_beside_a_fit_that_is_at_work_lose_no_entry_of_either(tiny_args, tmp_path, capsys):
+    run, environment = tmp_path / "run", os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "cli", "fit", *map(str, tiny_args(run, schedule__grounding_steps=3))]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as fit:
+        while not (run / "step_00/evaluation.json").exists() and fit.poll() is None:
+            time.sleep(0.1)
+        beside = 0
+        while fit.poll() is None:
+            assert main(["evaluate", "--run", str(run), "--episodes", "1", "--seed", str(beside)]) == 0
+            beside += 1
+    assert fit.returncode == 0 and beside >= 2
+    assert main(["ledger", "--run", str(run)]) == 0, capsys.readouterr().err
+    purposes = [e["purpose"] for e in json.loads((run / "ledger.json").read_text())["entries"]]
+    assert [sum(f"1 episodes, seed {i}" in p for p in purposes) >= 2 for i in range(beside)] == [True] * beside
 
 
 def test_the_plain_source_lacks_what_was_found_of_its_physics_and_has_its_looks(moved):

@@ -292,3 +292,14 @@ def test_two_processes_train_one_model_together(photos, tmp_path):
     checkpoint = torch.load(run / "last.ckpt", weights_only=True)
     steps = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]["total"]["completed"]
     assert steps == 2 * 3, "six images, three for each of two processes, twice"
+
+
+@pytest.mark.parametrize("key", ["model.lr_generator", "model.lr_discriminator"])
+def test_a_visual_transformation_on_its_own_that_breaks_is_not_kept(key, tmp_path, capsys):
+    squares(tmp_path / "photos/trainA", 6, (255, 0, 0), 20)
+    squares(tmp_path / "photos/trainB", 5, (0, 0, 255), 120)
+    run = tmp_path / "run"
+    options = SMALL | {"data.root": tmp_path / "photos", "run_dir": run, key: 1e30}
+    assert main(["visual", "fit", *(f"--{k}={v}" for k, v in options.items())]) == 1
+    assert f"{key} (now 1e+30)" in capsys.readouterr().err.splitlines()[-1]
+    assert not list(run.rglob("*.ckpt"))
