@@ -27,7 +27,7 @@ ON_ESTIMATES = {
 CODES = {signal.SIGINT: (130, "Ctrl-C"), signal.SIGTERM: (143, "SIGTERM")}
 
 
-def stopped(command, begun, signals, delay=0.5, within=90):
+def stopped(command, begun, signals, delay=0.5, within=240):
     """Exit code and stderr of a command that is sent signals once ``begun()``; none of its group may be left."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "IDAPT_RENDERER": "classic"}
     process = subprocess.Popen(
@@ -37,6 +37,7 @@ def stopped(command, begun, signals, delay=0.5, within=90):
     until = time.monotonic() + within
     while not begun() and process.poll() is None and time.monotonic() < until:
         time.sleep(0.05)
+    assert begun(), f"it did not come so far, exit code {process.poll()}"
     time.sleep(delay)
     for number in signals:
         os.killpg(process.pid, number)
