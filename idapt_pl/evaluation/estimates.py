@@ -36,9 +36,9 @@ class EstimateErrors:
         """Mean absolute errors of each component of the state, in its units.
 
         ``readings`` is what a stack of frames tells, ``estimates`` what filter or physics make of it; ``lost`` is
-        the share of steps in which they lost the state.
+        the share of steps in which they lost the state, which is known where the true states are not.
         """
         found = {name: np.mean(each, 0, dtype=float).round(4).tolist() for name, each in self._errors.items() if each}
-        if not found or self.act.lost is None:
+        if self.act.lost is None:
             return {"readings": found["readings"]} if found else {}
         return found | {"lost": round(self.act.lost, 4)}

@@ -14,7 +14,7 @@ from idapt_pl.evaluation.paired import paired_errors
 from idapt_pl.evaluation.video import log_scalars, log_video, record_video, side_by_side
 from idapt_pl.files import blaming, write_json
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
-from idapt_pl.rl.policy import Policy, deterministic
+from idapt_pl.rl.policy import Policy, deterministic, warn_if_lost
 from idapt_pl.rl.returns import EpisodeOutcome, Watch, evaluate
 from idapt_pl.rl.transition_distance import transition_residual
 from idapt_pl.run_folder.interactions import DIRECT_TRANSFER, VIDEO, VIDEO_STEPS, evaluation_interactions
@@ -25,8 +25,6 @@ from idapt_pl.stage import Stages
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
-MUCH_LOST = 0.05
-"""Share of steps in the target; a policy that loses the state more often is warned of."""
 
 
 class Evaluation:
@@ -157,14 +155,8 @@ class Evaluation:
         result = self.keeping(step, "evaluation", "evaluation", make)
         folder = self.stages.folder(step)
         with blaming(folder / "evaluation.json"):
-            lost = result["target"].get("state_errors", {}).get("lost", 0)
-            if lost > MUCH_LOST:
-                log.warning(
-                    "step %d  the policy loses the state in %.0f %% of its steps in the target: what it reads there is "
-                    "unlike anything in the grounded source. Look at G's pictures in the report",
-                    step,
-                    100 * lost,
-                )
+            lost = result["target"].get("state_errors", {}).get("lost")
+            warn_if_lost(lost, f"step {step}, acting in the target")
             there = result["target"]
             told = f"target return {there['mean']:.1f} ± {there['std']:.1f}" if there else "target not measured"
             log.info(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -10,6 +11,10 @@ from torch import Tensor
 
 from idapt_pl.modules import SAC
 from idapt_pl.nets.state_filter import Memory
+
+log = logging.getLogger(__name__)
+MUCH_LOST = 0.05
+"""Share of steps; a policy that loses the state more often is warned of."""
 
 
 class Policy(Protocol):
@@ -88,6 +93,22 @@ class Acting:
         """A control step has passed; episodes that ended are forgotten."""
         if self.memory is not None and ended.any():
             self.memory.forget(torch.from_numpy(ended).to(self.memory.hidden.device))
+
+
+def warn_if_lost(lost: float | None, where: str) -> None:
+    """Warn of a policy that lost the state in more than a few of its steps.
+
+    Args:
+        lost: share of the steps; None where nothing is remembered that could be lost.
+        where: it acted, as the warning begins.
+    """
+    if lost is not None and lost > MUCH_LOST:
+        log.warning(
+            "%s: the policy loses the state in %.0f %% of its steps: what it reads there is unlike anything in the "
+            "grounded source. Look at G's pictures in the report",
+            where,
+            100 * lost,
+        )
 
 
 def deterministic(module: SAC) -> Acting:

@@ -50,20 +50,30 @@ class SimulatedEnsemble:
             data.qpos[:], data.qvel[:] = q, v
 
     def advance(self, action: np.ndarray) -> np.ndarray:
-        """Play an action (nu,) for a control step. Returns the guesses (n, 2 nv); those that blew up are others'."""
+        """Play an action (nu,) for a control step. Returns the guesses (n, 2 nv); those that blew up are others'.
+
+        If all blow up they stay where they were; readings then tell how far that is off.
+        """
         played = self.domain.command(self.model, np.clip(action, *self._limits)[None])[0]
+        before = self._motions()
         for data in self.data:
             for _ in range(self.task.action_repeat):
                 self.task.play(self.model, data, played)
-        qpos, qvel = (np.array([getattr(d, name) for d in self.data]) for name in ("qpos", "qvel"))
+        qpos, qvel = self._motions()
         sound = np.isfinite(qpos).all(1) & np.isfinite(qvel).all(1)
         if not sound.any():
-            raise FloatingPointError("all simulations of the ensemble are unstable")
+            for data in self.data:
+                mujoco.mj_resetData(self.model, data)  # or what they remember of the last step stays NaN
+            (qpos, qvel), sound = before, ~sound
         stand_in = np.flatnonzero(sound)[np.arange(len(sound)) % sound.sum()]
         rows = np.where(sound, np.arange(len(sound)), stand_in)
         qpos, qvel = qpos[rows], qvel[rows]
         self.origin = qpos[0]
         return np.concatenate([position_difference(self.model, self.origin, qpos), qvel], 1)
+
+    def _motions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of all positions (n, nq) and velocities (n, nv)."""
+        return np.array([d.qpos for d in self.data]), np.array([d.qvel for d in self.data])
 
     def states(self, guesses: np.ndarray) -> np.ndarray:
         """The states (n, s) that guesses (n, 2 nv) are."""

@@ -15,7 +15,7 @@ from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StateSAC, Visu
 from idapt_pl.rl.collect import collect, replay
 from idapt_pl.rl.experts import train_expert
 from idapt_pl.rl.exploration import EXPLORATION, ExpertAtTheControls, OpenLoopReplay, TakingTurns
-from idapt_pl.rl.policy import Acting, Policy
+from idapt_pl.rl.policy import Acting, Policy, warn_if_lost
 from idapt_pl.run_folder.kept_episodes import KeptEpisodes
 from idapt_pl.stages.by_hand import ask_for_recording
 from idapt_pl.stages.context import StageContext
@@ -86,7 +86,9 @@ def record_target(
                 number, images = seed + len(before), "pixels" if seen is None else "source_pixels"
                 if before:
                     torch.manual_seed(number)  # or a policy that samples would play the noise of the first part again
-                played = collect(env, make_policy(number), left, number, about, images, keep, horizon)
+                policy = make_policy(number)
+                played = collect(env, policy, left, number, about, images, keep, horizon)
+                warn_if_lost(getattr(policy, "lost", None), f"step {k}, being recorded in the target")
             before.extend(played)
         return Trajectories(tuple(before), kept.dt, about)
 

@@ -158,6 +158,20 @@ def test_threads_and_neighbours_change_nothing(task, recording):
     np.testing.assert_array_equal(alone.states, both[0].states)
 
 
+def test_an_ensemble_that_blew_up_altogether_stays_where_it_was_and_goes_on(task, recording, monkeypatch):
+    states = recording[0]
+    guesses = SimulatedEnsemble(task, task.domain("source"), 3)
+    began = guesses.begin(np.repeat(states[:1], 3, 0))
+    guesses.put(began)
+    with monkeypatch.context() as patch:
+        patch.setattr(type(task), "play", lambda self, model, data, command: data.qvel.fill(np.nan))
+        stayed = guesses.advance(np.zeros(6))
+    np.testing.assert_allclose(stayed, began, atol=1e-12)
+    guesses.put(stayed)
+    went_on = guesses.advance(np.zeros(6))
+    assert np.isfinite(went_on).all() and not np.allclose(went_on, stayed)
+
+
 def test_tasks_whose_states_tell_no_positions_say_so():
     task = make_task("fetch_reach")
     with pytest.raises(ValueError, match=r"labels\.members"):

@@ -16,7 +16,7 @@ from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.modules import AsymmetricSAC, StateSAC
 from idapt_pl.modules.observation_noise import RecordedErrors, SlowNoise
-from idapt_pl.rl.policy import Acting, deterministic
+from idapt_pl.rl.policy import MUCH_LOST, Acting, deterministic, warn_if_lost
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.smoothing import Smoothed
@@ -180,6 +180,18 @@ def test_errors_of_readings_and_estimates_are_measured_in_units(env, policy):
     errors(obs)
     read = policy.actor.encoder.predict(torch.from_numpy(obs["pixels"])).detach().numpy()
     assert errors.to_dict()["readings"] == pytest.approx(np.abs(read - obs["state"]).mean(0).tolist(), abs=1e-3)
+
+
+def test_a_state_that_is_lost_is_told_where_no_true_state_is_known(env, policy, caplog):
+    act = deterministic(policy)
+    assert EstimateErrors(act).to_dict() == {}
+    evaluate(env, act, 1, 0)
+    assert EstimateErrors(act).to_dict() == {"lost": round(act.lost, 4)}
+    warn_if_lost(None, "here")
+    warn_if_lost(MUCH_LOST, "here")
+    assert not caplog.messages
+    warn_if_lost(0.5, "here")
+    assert caplog.messages[0].startswith("here: the policy loses the state in 50 % of its steps")
 
 
 def test_recorded_errors_are_played_in_order_times_one_factor_an_episode():
