@@ -85,7 +85,8 @@ class Run:
         stages, b = Stages(config.folder, config.seed, make_trainer, config.threads), config.feeding
         if worlds.target.alone and worlds.target.measured:  # what is set aside plays it too
             aside = in_turn
-        teacher = Distillation(worlds, stages, config.teacher, b.num_envs, b.policy_batch, b.buffer_size, aside)
+        settings = config.teacher if config.method == "idapt" else config.teacher.in_the_source()
+        teacher = Distillation(worlds, stages, settings, b.num_envs, b.policy_batch, b.buffer_size, aside)
         context = StageContext(worlds, stages, module_factories(config), b, teacher, config.filter, config.labels)
         check_modules(context)
         return cls(config, context, aside)

@@ -104,6 +104,10 @@ class TeacherSettings:
         if not 0 < self.fading <= 1:
             raise ValueError(f"teacher.fading is a share, above 0 and up to 1; got {self.fading}")
 
+    def in_the_source(self) -> TeacherSettings:
+        """The same teacher where no source is ever repaired or grounded: all its steps come before it is imitated."""
+        return replace(self, steps=self.steps + self.adapt + self.harden, adapt=0, harden=0)
+
 
 class DaggerExperience(Experience):
     """Acts as teacher or student, step by step by chance, and says what the teacher would have done.

@@ -83,6 +83,17 @@ def test_what_knows_the_source_alone_takes_no_step_in_the_target(preset, tmp_pat
         assert len(drawn) == 3 and drawn[0] != drawn[1], "what was drawn is written down"
 
 
+def test_a_teacher_of_the_source_alone_trains_as_long_as_the_methods_do_together(tmp_path):
+    config = ["--config", str(ROOT / "configs/cheetah_quick.yaml")]
+    preset = ["--config", str(ROOT / "configs/presets/direct_transfer.yaml")]
+    ours, alone = (
+        GroundingCLI([*args, "--run_dir", str(tmp_path / "run")]).run().context.teacher.settings
+        for args in (config, config + preset)
+    )
+    assert ours.adapt > 0 and ours.harden > 0
+    assert (alone.steps, alone.adapt, alone.harden) == (ours.steps + ours.adapt + ours.harden, 0, 0)
+
+
 @pytest.mark.parametrize(
     ("preset", "config"),
     [slow("cc_state", QUICK), ("cc_image", QUICK), slow("cc_image", ROOT / "configs/cheetah_quick.yaml")],
