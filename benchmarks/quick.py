@@ -4,8 +4,10 @@
     python benchmarks/quick.py --config fetch_quick --seeds 0
 
 Runs ``idapt fit`` with a quick config for every seed (finished runs are not repeated) and writes
-results/<config>.csv: direct transfer, visual grounding alone and every grounding step stand side by side. ``minutes``
-are of a run on ``threads`` threads.
+results/<config>.csv: direct transfer, visual grounding alone and every grounding step stand side by side. ``grounded``
+is the same policy in the grounded source. ``position_error`` and ``velocity_error`` are how wrong it is in the target
+about components that are rates of one another: mean absolute errors [rad and m, rad/s and m/s]. ``minutes`` are of a
+run on ``threads`` threads.
 Failures stay in the table. An ablation gets rows of its own:
 
     python benchmarks/quick.py --seeds 3 --method "no resets" --visual.reset_weight 0
@@ -15,13 +17,21 @@ from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
 from tables import replace_rows
 
-ROOT = Path(__file__).parents[1]
+from idapt_pl.tasks import make_task
+
 FIELDS = (
     "task",
     "target",
@@ -33,6 +43,9 @@ FIELDS = (
     "mean",
     "std",
     "psnr",
+    "grounded",
+    "position_error",
+    "velocity_error",
     "target_interactions",
     "minutes",
     "threads",
@@ -85,19 +98,30 @@ def rows(folder: Path, method: str) -> list[dict]:
         "target_interactions": summary["target_interactions"],
         "minutes": round(summary["wall_s"] / 60, 1),
     }
-    found = [("direct transfer", "", read("step_00/direct_transfer"), "")]
+    rates = make_task(summary["task"]).rates
+    found = [("direct transfer", "", read("step_00/direct_transfer"), {})]
     for k in range(len(summary["grounded"]) + 1):
         if (folder / f"step_{k:02d}/evaluation.json").exists():  # else step k was settled: the policy before it stays
             measured = read(f"step_{k:02d}/evaluation")
         name = method if k else "visual only"
-        found.append((name, k, measured["target"], measured["translation"].get("psnr", "")))
+        beside = {"psnr": measured["translation"].get("psnr", ""), "grounded": round(measured["grounded"]["mean"], 2)}
+        found.append((name, k, measured["target"], beside))
     if summary["oracle"] is not None:
-        found.append(("oracle", "", read("step_00/oracle_evaluation"), ""))
+        found.append(("oracle", "", read("step_00/oracle_evaluation"), {}))
     return [
-        {**common, "method": name, "grounding_step": k, "mean": round(r["mean"], 2), "std": round(r["std"], 2),
-         "psnr": psnr}
-        for name, k, r, psnr in found
+        {**common, "method": name, "grounding_step": k, "mean": round(r["mean"], 2), "std": round(r["std"], 2)}
+        | beside | errors_by_kind(r.get("state_errors", {}), rates)
+        for name, k, r, beside in found
     ]  # fmt: skip
+
+
+def errors_by_kind(errors: dict, rates: Mapping[int, int]) -> dict[str, float]:
+    """What a policy takes for the state, in the mean over positions and over velocities, if the task tells which."""
+    told = errors.get("estimates", errors.get("readings"))
+    if not told or not rates:
+        return {}
+    kinds = {"position_error": rates.values(), "velocity_error": rates}
+    return {name: round(statistics.fmean(told[i] for i in indices), 4) for name, indices in kinds.items()}
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
     python benchmarks/tables.py           # the table of README.md: means and 95 % intervals over seeds
     python benchmarks/tables.py --runs    # of every run in results/<config>.csv and results/curves.csv
+    python benchmarks/tables.py --kept    # what the target keeps of the return in the grounded source, run by run
 
 The benchmarks import what reads and writes the CSV files.
 """
@@ -127,6 +128,37 @@ def summary(results: Path = RESULTS, target: str = "hard") -> str:
     return markdown(head, lines)
 
 
+def kept(results: Path = RESULTS) -> str:
+    """A row for each run of the configs as they are: its last policy in the target beside the grounded source.
+
+    Rows from before the grounded source was kept in the tables are left out.
+    """
+    lines = []
+    for size in ("hard", "easy", "quick"):
+        for _, name, wanted in SHOWN:
+            table = f"{name}_{size}"
+            rows = [row for row in chosen(read_rows(results / f"{table}.csv"), wanted) if row.get("grounded")]
+            last = {row["seed"]: row for row in sorted(rows, key=lambda row: int(row["grounding_step"]))}
+            for seed in sorted(last, key=int):
+                row = last[seed]
+                there, here = float(row["mean"]), float(row["grounded"])
+                digits = 2 if row["metric"] == "success" else 0
+                told = [f"{there:.{digits}f}", f"{here:.{digits}f}", f"{there / here:.0%}".replace("%", " %")]
+                told += [row.get("position_error") or "", row.get("velocity_error") or "", row["psnr"]]
+                lines.append((f"`{table}`", seed, *told))
+    head = (
+        "config",
+        "seed",
+        "target",
+        "grounded source",
+        "kept",
+        "positions' error",
+        "velocities' error",
+        "PSNR of G, dB",
+    )
+    return markdown(head, lines)
+
+
 def versions(rows: Iterable[Row]) -> str:
     """The commits that rows come from, in their order; with ``+`` where files had been changed since."""
     commits = dict.fromkeys(str(row["commit"]) for row in rows)
@@ -155,8 +187,9 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--runs", action="store_true", help="every run, not only those of README.md")
     p.add_argument("--easy", action="store_true", help="of the easy targets")
+    p.add_argument("--kept", action="store_true", help="what the target keeps of the grounded source's return")
     o = p.parse_args()
-    print(every_run() if o.runs else summary(target="easy" if o.easy else "hard"))
+    print(every_run() if o.runs else kept() if o.kept else summary(target="easy" if o.easy else "hard"))
 
 
 if __name__ == "__main__":

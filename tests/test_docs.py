@@ -98,6 +98,12 @@ def test_results_have_the_table_of_all_runs():
     assert tables.every_run() in page, "python benchmarks/tables.py --runs prints another table"
 
 
+def test_results_have_the_tables_of_targets_and_of_what_is_kept_there():
+    page = (DOCS / "reference" / "results.md").read_text()
+    assert tables.summary() in page and tables.summary(target="easy") in page
+    assert tables.kept() in page, "python benchmarks/tables.py --kept prints another table"
+
+
 @pytest.mark.parametrize("page", DECISIONS, ids=name)
 def test_decisions_are_short(page):
     assert len(page.read_text().split()) <= DECISION_WORDS
