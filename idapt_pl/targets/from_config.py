@@ -16,7 +16,8 @@ from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.targets.recorded import RecordedTarget
 from idapt_pl.targets.target import OtherTaskTarget, RobotTarget, SimulatedTarget, Target
 from idapt_pl.tasks import Task, make_task
-from idapt_pl.tasks.own import call_users, import_from
+from idapt_pl.tasks.named import find_named, make_named
+from idapt_pl.tasks.own import look_for_ids
 
 TARGET_KINDS = ("env", "task", "recordings", "by_hand")
 """What a target that is described can be."""
@@ -77,7 +78,7 @@ def make_target(said: str | Mapping[str, Any], task: Task) -> Target:
     )
     make = functools.partial(make_robot, said["env"], dict(said.get("options") or {}), settings)
     simulated = said["env"].startswith(GYMNASIUMS)
-    find = functools.partial(import_from, said["env"], "target.env")
+    find = functools.partial(find_named, said["env"], gymnasium.Env, "target.env")
     return RobotTarget(name, make, find, simulated, settings, actions, bool(said.get("measure", False)))
 
 
@@ -149,13 +150,13 @@ def make_robot(path: str, options: dict[str, Any], settings: RobotSettings) -> g
     """
     if path.startswith(GYMNASIUMS):
         env_id = path.removeprefix(GYMNASIUMS)
+        look_for_ids(env_id, f"target.env {path}")
         try:
             env = gymnasium.make(env_id, **({"render_mode": "rgb_array"} | options))
         except (gymnasium.error.Error, TypeError, ImportError) as error:
             raise ValueError(f"gymnasium.make says: {error}") from error
     else:
-        found = import_from(path, "target.env")
-        env = call_users(found, f"target.env {path}", options) if callable(found) else found
+        env = make_named(path, gymnasium.Env, "target.env", options)
     period = getattr(env.unwrapped if isinstance(env, gymnasium.Env) else env, "dt", None)
     if isinstance(period, float | np.floating):
         check_period(settings.name, settings.period, settings.repeat * float(period), "target.repeat")

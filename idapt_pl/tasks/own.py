@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
 from typing import Any
 
 import gymnasium
 
-from datamodules.users_error import UsersError
+from idapt_pl.tasks.named import import_from, look_here_too, make_named, refuse_pythons_own
 from idapt_pl.tasks.own_check import check_task
 from idapt_pl.tasks.task import Task
-from idapt_pl.tasks.users_code import whole
 
 SOURCES = "gymnasium:ID, dm_control:DOMAIN/TASK, or MODULE:NAME for a Task of your own"
 """What a task's name can be besides the names there are."""
@@ -30,27 +26,22 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
         ValueError: if it cannot be made.
     """
     source, _, rest = name.partition(":")
-    look_here_too()
     if source == "gymnasium":
         from idapt_pl.tasks.gymnasium_task import GymnasiumTask
 
+        look_for_ids(rest, f"task {name}")
         return GymnasiumTask(rest, **options)
     if source == "dm_control":
         from idapt_pl.tasks.dm_control_task import DMControlTask  # 2 s to import
 
         return DMControlTask(rest, **options)
-    made, repeat = import_from(name, "task"), options.get("action_repeat")
+    refuse_environment(name)
+    repeat = options.get("action_repeat")
     own = {k: v for k, v in options.items() if k != "action_repeat"}  # which every task has
-    task = call_users(made, f"task {name}", own) if callable(made) else made
+    task = make_named(name, Task, "task", own)
     if not isinstance(task, Task):
-        if isinstance(task, gymnasium.Env):
-            raise ValueError(
-                f"task {name} is an environment of Gymnasium. Register it there (gymnasium.register), and give "
-                f"gymnasium:{name.partition(':')[0]}:ID"
-            )
         raise ValueError(
-            f"task {name} is {type(task).__name__}, not an idapt_pl.tasks.Task. Give a subclass of it, or a function "
-            "that returns one (docs/guide/own_robot.md)"
+            f"task {name} gives {type(task).__name__}, not an idapt_pl.tasks.Task (docs/guide/own_robot.md)"
         )
     if not hasattr(task, "name"):
         task.name = name
@@ -60,55 +51,27 @@ def own_task(name: str, options: dict[str, Any]) -> Task:
     return task
 
 
-def look_here_too() -> None:
-    """Let modules be found in the current folder, as `python -m` does."""
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-
-
-def import_from(path: str, what: str) -> Any:
-    """What ``module:name`` names; modules are looked for in the current folder too.
-
-    Args:
-        path: ``module:name``.
-        what: it is to be, for messages.
+def look_for_ids(env_id: str, what: str) -> None:
+    """Let Gymnasium find the module of ``module:id`` in the current folder.
 
     Raises:
-        UsersError: if the module fails, whose error is shown whole.
-        ValueError: if there is no such thing.
+        ValueError: if it is one of Python's own, which Gymnasium would import.
     """
-    module_name, _, attribute = path.partition(":")
-    if not module_name or not attribute:
-        raise ValueError(f"{what} {path!r} is no import path; give MODULE:NAME, such as my_robot.task:Reach")
+    module, colon, _ = env_id.partition(":")
+    if colon:
+        refuse_pythons_own(module, what)
     look_here_too()
-    try:
-        found = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not (module_name + ".").startswith(error.name + "."):
-            raise UsersError(whole(f"{what} {path}: its module fails")) from None
-        raise ValueError(
-            f"{what} {path}: there is no module {error.name!r} in {os.getcwd()} or among the installed packages"
-        ) from None
-    except Exception:
-        raise UsersError(whole(f"{what} {path}: its module fails")) from None
-    for part in attribute.split("."):
-        if not hasattr(found, part):
-            names = [name for name in vars(found) if not name.startswith("_")]
-            raise ValueError(f"{what} {path}: {found.__name__} has no {part!r}; it has: {', '.join(names)}")
-        found = getattr(found, part)
-    return found
 
 
-def call_users(made: Any, what: str, options: dict[str, Any]) -> Any:
-    """What a user's class or function gives.
+def refuse_environment(name: str) -> None:
+    """Say what to do where a class of Gymnasium's environments is named as a task.
 
     Raises:
-        UsersError: if it fails; its error is shown whole.
-        ValueError: if it is this package's, such as the client of a robot's server; its message says enough.
+        ValueError: if it is one.
     """
-    try:
-        return made(**options)
-    except Exception as error:
-        if str(getattr(made, "__module__", "")).startswith("idapt_pl."):
-            raise ValueError(f"{what}: {error}") from error
-        raise UsersError(whole(f"{what} fails")) from None
+    found = import_from(name, "task")
+    if isinstance(found, gymnasium.Env) or (isinstance(found, type) and issubclass(found, gymnasium.Env)):
+        raise ValueError(
+            f"task {name} is an environment of Gymnasium. Register it there (gymnasium.register), and give "
+            f"gymnasium:{name.partition(':')[0]}:ID"
+        )

@@ -71,10 +71,14 @@ class CartPole(gymnasium.Env):
         return self.picture(), float(not fallen), fallen, False, {}
 
 
-def slow():
+def slow() -> gymnasium.Env:
     env = CartPole()
     env.dt = 0.1
     return env
+
+
+def unsaid():
+    raise AssertionError("called")
 '''
 
 
@@ -327,6 +331,9 @@ SOURCE = "gymnasium:InvertedPendulum-v5"
         ({"task": "dm_control:cartpole/balance"}, r"0\.01 s long, the source's 0\.04 s.*action_repeat"),
         ({"env": "my_lab:Nothing"}, "my_lab has no 'Nothing'"),
         ({"env": "my_lab:slow"}, r"0\.1 s long, the source's 0\.04 s.*target\.repeat"),
+        ({"env": "my_lab:unsaid"}, r"not said to return gymnasium\.Env.*write `def unsaid\(\.\.\.\) -> Env:`"),
+        ({"env": "os:system", "options": {"command": "true"}}, "os is a module of Python itself"),
+        ({"env": "gymnasium:antigravity:Arm-v0"}, "antigravity is a module of Python itself"),
         ({"env": "my_lab:CartPole", "options": {"weight": 3}}, "(?s)Traceback.*weight"),
         ({"env": "gymnasium:Nope-v0"}, "Nope"),
     ],

@@ -9,9 +9,11 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+import yaml
 from conftest import ROOT
 from dm_control import suite
 
+from cli.main import main
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointArmature
 from idapt_pl.envs import VectorImageEnv
@@ -65,12 +67,29 @@ class Wrong(Arm):
         return wrong.get(self.how, made)
 
 
-def seven():
+def seven() -> Task:
     return 7
 
 
-def fails(**options):
+def fails(**options) -> Task:
     raise RuntimeError(f"no robot on {options['port']}")
+
+
+def silent():
+    raise AssertionError("called")
+
+
+def told(goal: "nothing that is there") -> "Reach":
+    return Arm(goal)
+
+
+def another() -> int:
+    raise AssertionError("called")
+
+
+class NoTask:
+    def __init__(self):
+        raise AssertionError("called")
 """
 )
 
@@ -315,7 +334,7 @@ def test_a_users_task_is_tried_before_anything_else_is(how, message):
     ("name", "options", "message"),
     [
         ("my_arm:Leg", {}, r"my_arm has no 'Leg'; it has: .*Arm"),
-        ("my_arm:seven", {}, "is int, not an idapt_pl.tasks.Task"),
+        ("my_arm:seven", {}, "gives int, not an idapt_pl.tasks.Task"),
         ("my_arm:fails", {"port": "/dev/ttyUSB9"}, r"(?s)Traceback.*no robot on /dev/ttyUSB9"),
         ("broken:Arm", {}, "(?s)Traceback.*my own mistake"),
         ("needs:Arm", {}, "(?s)Traceback.*a_driver_that_is_missing"),
@@ -324,6 +343,58 @@ def test_a_users_task_is_tried_before_anything_else_is(how, message):
 def test_errors_of_a_users_module_are_shown_whole(name, options, message):
     with pytest.raises(ValueError, match=message):
         make_task(name, options)
+
+
+@pytest.mark.usefixtures("own")
+def test_a_function_that_says_that_it_makes_a_task_is_called():
+    assert make_task("my_arm:told", {"goal": 0.5}).goal == 0.5
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("os:system", {"command": "touch called"}, "os is a module of Python itself"),
+        ("subprocess:run", {"args": ["touch", "called"]}, "subprocess is a module of Python itself"),
+        ("os.path:exists", {"path": "."}, r"os\.path is a module of Python itself"),
+        ("builtins:exec", {}, "builtins is a module of Python itself"),
+        ("gymnasium:antigravity:Arm-v0", {}, "antigravity is a module of Python itself"),
+        ("numpy:save", {"file": "called", "arr": [1]}, r"no idapt_pl\.tasks\.Task"),
+        ("my_arm:np.save", {"file": "called", "arr": [1]}, r"no idapt_pl\.tasks\.Task"),
+        ("my_arm:silent", {}, r"not called\. If it does, write `def silent\(\.\.\.\) -> Task:`"),
+        ("my_arm:another", {}, "not said to return"),
+        ("my_arm:NoTask", {}, r"is the class NoTask, no idapt_pl\.tasks\.Task"),
+        ("numpy:pi", {}, r"is float, no idapt_pl\.tasks\.Task"),
+    ],
+)
+def test_what_does_not_say_that_it_makes_a_task_is_not_called(tmp_path, name, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_task(name, options)
+    assert not list(tmp_path.glob("called*"))
+
+
+@pytest.mark.parametrize("command", ["report", "ledger", "evaluate"])
+def test_a_config_of_somebody_elses_run_calls_nothing(tmp_path, capsys, command):
+    called = tmp_path / "called"
+    config = {"task": "os:system", "task_options": {"command": f"touch {called}"}}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    assert main([command, "--run", str(tmp_path)]) == 1
+    assert "os is a module of Python itself" in capsys.readouterr().err and not called.exists()
+
+
+@pytest.mark.parametrize("inside", [".", "step_00/policy"])
+def test_nothing_is_imported_from_a_run_folder(tmp_path, monkeypatch, inside):
+    folder = tmp_path / inside
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("run.json", "config.yaml"):
+        (tmp_path / name).touch()
+    (folder / "not_mine.py").write_text("open('called', 'w')\n")
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    said = rf"no module 'not_mine' among .*is in the run folder {tmp_path}.*in the folder of your module"
+    with pytest.raises(ValueError, match=said):
+        make_task("not_mine:Arm")
+    assert not (folder / "called").exists()
 
 
 def test_free_cameras_look_as_gymnasiums_do():
