@@ -50,10 +50,9 @@ def main(args: list[str]) -> int:
             "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
         )
     if not run.worlds.target.measured:
-        name = run.worlds.target.name
         raise ValueError(
-            f"the target {name} is not measured: give target: {{measure: true}} to have its rewards read, or "
-            "{measure: ask} to be asked"
+            f"the target {run.worlds.target.name} is not measured. To have its rewards read (or, with ask, to be "
+            f"asked): idapt fit --config {o.run / 'config.yaml'} --target.measure true; then the same command again"
         )
     if o.physics:
         check_physics(run, o.physics)

@@ -8,6 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 
+class NoAnswer(TimeoutError):
+    """Nothing came back in the time that was given."""
+
+
 class Patient:
     """Calls functions in a thread of its own, always the same one, and waits for them for so long and no longer.
 
@@ -28,14 +32,14 @@ class Patient:
             kwargs: of it.
 
         Raises:
-            TimeoutError: if it takes longer. It goes on, so this one must not be used any more.
+            NoAnswer: if it takes longer. It goes on, so this one must not be used any more.
         """
         answers: queue.SimpleQueue = queue.SimpleQueue()  # its own: an answer that nobody waited for is no other call's
         self._calls.put((function, args, kwargs, answers))
         try:
             result, error = answers.get(timeout=seconds)
         except queue.Empty:
-            raise TimeoutError(f"no answer within {seconds:g} s") from None
+            raise NoAnswer(f"no answer within {seconds:g} s") from None
         if error is not None:
             raise error
         return result

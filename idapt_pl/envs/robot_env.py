@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from datamodules.images.fitting import Fitted
 from datamodules.users_error import UsersError
 from idapt_pl.envs.image_env import ResetResult, StepResult
-from idapt_pl.envs.patient import Patient
+from idapt_pl.envs.patient import NoAnswer, Patient
 
 STEP_RETURNS = "observation, reward, terminated, truncated, info"
 
@@ -194,8 +194,10 @@ class RobotEnv(gymnasium.vector.VectorEnv):
         except UsersError:
             raise
         except Exception as error:
-            self._hangs |= isinstance(error, TimeoutError)
             said = str(error) or type(error).__name__
+            if isinstance(error, NoAnswer):
+                self._hangs = True
+                said += f". If it needs longer, resume with --target.patience {2 * self.settings.patience:g}"
             raise TargetFailed(f"target {self.settings.name} could not {what}: {said}") from error
 
     def _whole(self, method: str, told: Any, parts: str) -> tuple[Any, ...]:

@@ -13,6 +13,12 @@ CHANGE_NOTHING = {
 }  # fmt: skip
 """Keys that may differ in a resumed run; the folder may have been moved."""
 
+HOW_IT_IS_REACHED = {
+    "target.attended", "target.patience", "target.measure", "target.recordings", "target.by_hand",
+    "target.options.host", "target.options.port", "target.options.seconds",
+}  # fmt: skip
+"""Likewise: how long is waited for a robot and where it is found; where recordings lie that were not read yet."""
+
 RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}, "schedule": {"source_actions": "policy"}}
 """Keys that older configs have, and the value at which leaving them out changes nothing."""
 
@@ -100,6 +106,10 @@ def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
     keys = []
     for key in sorted({*old, *new} - CHANGE_NOTHING, key=str):
         a, b = old.get(key), new.get(key)
+        if f"{prefix}{key}" in HOW_IT_IS_REACHED:
+            continue
+        if prefix == "target.":  # where nothing said is nothing
+            a, b = ({} if v is None and isinstance(other, dict) else v for v, other in ((a, b), (b, a)))
         if isinstance(a, dict) and isinstance(b, dict):
             keys += changed_keys(a, b, f"{prefix}{key}.")
         elif a != b:

@@ -51,6 +51,17 @@ def test_where_the_folder_is_and_on_what_it_trains_may_differ_and_a_newer_versio
     assert read_kept_config(run) == newer
 
 
+def test_how_a_target_is_reached_may_differ_and_what_it_is_may_not():
+    robot = {"env": "lab:make", "horizon": 9, "options": {"port": 1}, "measure": False}
+    reached = robot | {"patience": 60, "attended": True, "measure": "ask", "options": {"port": 2, "host": "arm"}}
+    assert changed_keys({"target": robot}, {"target": reached}) == []
+    assert changed_keys({"target": robot | {"options": None}}, {"target": robot}) == []
+    assert changed_keys({"target": robot}, {"target": robot | {"options": {"mass": 1}}}) == ["target.options.mass"]
+    assert changed_keys({"target": robot}, {"target": robot | {"horizon": 8}}) == ["target.horizon"]
+    assert changed_keys({"target": robot}, {"target": "hard"}) == ["target"]
+    assert changed_keys({"patience": 1}, {"patience": 2}) == ["patience"]
+
+
 @pytest.mark.parametrize("content", ["", "seed: [", "- 1", "a: 1\na: 2"])
 def test_a_damaged_config_is_named_with_its_cure(run, content):
     (run / "config.yaml").write_text(content)

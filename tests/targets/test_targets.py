@@ -153,6 +153,27 @@ def test_returns_are_reported_where_the_user_says_so(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("lab")
+def test_how_long_is_waited_and_whether_it_is_measured_may_be_changed_when_a_run_goes_on(tmp_path, capsys):
+    run, config = tmp_path / "run", written(tmp_path, env="my_lab:CartPole", horizon=30)
+    (tmp_path / "unplugged").write_text("25")
+    assert main(["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]) == 1
+    (tmp_path / "unplugged").unlink()
+    resume = ["fit", "--config", str(run / "config.yaml"), "--target.patience", "60"]
+    capsys.readouterr()
+    assert main([*resume, "--target.horizon", "20"]) == 1
+    assert "another config (target.horizon differ)" in capsys.readouterr().err
+    assert main(resume) == 0
+    assert main(["evaluate", "--run", str(run), "--episodes", "1"]) == 1
+    told = capsys.readouterr().err
+    command = f"fit --config {run / 'config.yaml'} --target.measure true"
+    assert command in told and main(command.split()) == 0
+    assert yaml.safe_load((run / "config.yaml").read_text())["target"]["patience"] == 60
+    assert json.loads((run / "summary.json").read_text())["visual_only"] is None
+    assert main(["evaluate", "--run", str(run), "--episodes", "1", "--json"]) == 0
+    assert main(["ledger", "--run", str(run)]) == main(["report", "--run", str(run)]) == 0
+
+
+@pytest.mark.usefixtures("lab")
 def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fails(tmp_path, capsys, monkeypatch):
     asked: list[str] = []
 
