@@ -23,6 +23,7 @@ from idapt_pl.run_folder.interactions import later_entries, later_outcome_entrie
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.stages.labels import smoother_of
 from idapt_pl.stages.schedule import length_of
+from idapt_pl.targets import RecordedTarget
 
 
 def main(args: list[str]) -> int:
@@ -49,6 +50,8 @@ def main(args: list[str]) -> int:
             f"{o.run} is a run of {run.config.method}, whose policy acts on translations of the target: what it "
             "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
         )
+    if isinstance(run.worlds.target, RecordedTarget):
+        raise ValueError(f"the target {run.worlds.target.name} is known from recordings alone, and cannot be played")
     if not run.worlds.target.measured:
         raise ValueError(
             f"the target {run.worlds.target.name} is not measured. To have its rewards read (or, with ask, to be "

@@ -164,7 +164,7 @@ def main(args: list[str]) -> int:
         if run.config.method == "idapt":
             run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))
         run.restore_ledger()
-        run.worlds.look_for_target()
+        run.worlds.look_for_target(run.recorded)
         evaluations = method.run()
         summary = run.evaluation.summary(evaluations)
         if run.config.oracle:

@@ -25,7 +25,7 @@ from idapt_pl.randomisation import FOUND
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.run_config import MODULES, RunConfig
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
-from idapt_pl.run_folder.results import effect_files
+from idapt_pl.run_folder.results import effect_files, step_of
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
@@ -148,6 +148,12 @@ class Run:
     def step_folder(self, k: int) -> Path:
         """Folder of a grounding step."""
         return self.context.stages.folder(k)
+
+    @property
+    def recorded(self) -> set[int]:
+        """Grounding steps whose recordings of the target it has."""
+        steps = (step_of(path.parent) for path in self.folder.glob("step_*/target.h5"))
+        return {k for k in steps if k is not None}
 
     @functools.cached_property
     def evaluation(self) -> Evaluation:

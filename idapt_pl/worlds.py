@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,9 +102,13 @@ class Worlds:
         """
         return self.target.with_reward(num_envs, self.look, asking)
 
-    def look_for_target(self) -> None:
-        """See whether the target is there, as far as that can be known without playing it."""
-        self.target.look_for(self.look)
+    def look_for_target(self, recorded: Collection[int] = ()) -> None:
+        """See whether the target is there, as far as that can be known without playing it.
+
+        Args:
+            recorded: grounding steps of which the run has its recordings.
+        """
+        self.target.look_for(self.look, recorded)
 
     def target_twin(self) -> VectorImageEnv | None:
         """A simulation of the target that can be put into the source's states, for evaluation; None without one."""

@@ -115,21 +115,14 @@ def check_description(said: Mapping[str, Any]) -> str:
 
 
 def recording_paths(said: Any) -> tuple[Path, ...]:
-    """The recordings that are listed, all of which must be there.
+    """The recordings that are listed; whether they are there is seen when they are read.
 
     Raises:
-        ValueError: if they are not.
+        ValueError: if it is no list of files and folders.
     """
     listed = [said] if isinstance(said, str) else said
     if not isinstance(listed, Sequence) or not listed or not all(isinstance(path, str) for path in listed):
         raise ValueError(f"target.recordings is {said!r}; give a file or folder for each grounding step")
-    for path in map(Path, listed):
-        if not path.exists():
-            raise ValueError(f"target.recordings: {path} is not there")
-        if not path.is_dir() and path.suffix != ".h5":
-            raise ValueError(
-                f"target.recordings: {path} is neither a trajectory file (.h5) nor a folder of pictures and actions.csv"
-            )
     return tuple(map(Path, listed))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,11 +51,16 @@ class RecordedTarget(Target):
         Raises:
             ValueError: naming the file, and what is wrong with it.
         """
-        paths = self.brought(k) if self.inbox is not None else self.files[k : k + 1]
+        paths = self.brought(k) if self.inbox is not None else [*map(there, self.files[k : k + 1])]
         if not paths:
             raise ValueError(f"target.recordings has {len(self.files)} files, none for grounding step {k}")
         episodes = [e for path in paths for e in self.episodes(path, look.image_size)]
         return Trajectories(tuple(episodes), self.period, f"{self.name}, {', '.join(map(str, paths))}")
+
+    def look_for(self, look: Look, recorded: Collection[int] = ()) -> None:
+        for k, path in enumerate(self.files):
+            if k not in recorded:
+                there(path)
 
     def brought(self, k: int) -> list[Path]:
         """Files and folders of episodes that were put there for a grounding step."""
@@ -129,6 +135,22 @@ class RecordedTarget(Target):
                 f"{low[j]:g} to {high[j]:g}. Are units or order others (target.actions)? If the robot cut it off, "
                 "record what it played"
             )
+
+
+def there(path: Path) -> Path:
+    """A recording, as it is.
+
+    Raises:
+        ValueError: if it is not there, or neither a trajectory file nor a folder.
+    """
+    if not path.exists():
+        raise ValueError(f"target.recordings: {path} is not there")
+    if not path.is_dir() and path.suffix != ".h5":
+        raise ValueError(
+            f"target.recordings: {path} is neither a trajectory file (.h5) nor a folder of pictures and {ACTIONS}. "
+            "idapt import makes a trajectory file of other formats"
+        )
+    return path
 
 
 def read_any(path: Path, period: float) -> Trajectories:

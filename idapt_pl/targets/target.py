@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -70,8 +70,12 @@ class Target(ABC):
         """
         raise ValueError(f"the target {self.name} is known from recordings alone, and cannot be played")
 
-    def look_for(self, look: Look) -> None:  # noqa: B027  recordings are looked at when they are read
+    def look_for(self, look: Look, recorded: Collection[int] = ()) -> None:  # noqa: B027  simulations are there
         """See whether it is there, before anything trains for it; no control step is taken, and no robot moved.
+
+        Args:
+            look: how the run looks at it.
+            recorded: grounding steps of which the run has its recordings.
 
         Raises:
             ValueError: it is not, or cannot be drawn.
@@ -131,7 +135,7 @@ class OtherTaskTarget(Target):
         env = look.simulate(self.task, self.task.domain("source"), num_envs)
         return MappedActions(PixelsOnly(env), self.actions)
 
-    def look_for(self, look: Look) -> None:
+    def look_for(self, look: Look, recorded: Collection[int] = ()) -> None:
         draw_once(self.with_reward(1, look, asking=False))
 
 
@@ -164,7 +168,7 @@ class RobotTarget(Target):
         env = RobotEnv(self.make, settings, look.image_size, look.frame_stack)
         return MappedActions(env, self.actions)
 
-    def look_for(self, look: Look) -> None:
+    def look_for(self, look: Look, recorded: Collection[int] = ()) -> None:
         if self.simulated:
             draw_once(self.with_reward(1, look, asking=False))
         else:

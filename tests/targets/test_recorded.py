@@ -156,15 +156,24 @@ def test_columns_in_another_order_than_their_names_say_are_refused(tmp_path):
     ("said", "message"),
     [
         ({"recordings": []}, "give the name of a domain, or one of|give a file or folder"),
-        ({"recordings": ["nowhere.h5"]}, r"nowhere\.h5 is not there"),
         ({"recordings": [3]}, "give a file or folder for each grounding step"),
-        ({"recordings": [__file__]}, "neither a trajectory file"),
         ({"recordings": ["a.h5"], "measure": True}, r"target\.measure: unknown with target\.recordings"),
     ],
 )
 def test_lists_that_make_no_sense_are_refused(said, message):
     with pytest.raises(ValueError, match=message):
         make_target(said, make_task(SOURCE))
+
+
+@pytest.mark.parametrize(
+    ("path", "message"), [("nowhere.h5", r"nowhere\.h5 is not there"), (__file__, r"neither a trajectory file.*import")]
+)
+def test_recordings_are_missed_before_anything_trains_but_not_where_the_run_has_them(path, message):
+    target = make_target({"recordings": [path]}, make_task(SOURCE))
+    for missed in (lambda: target.look_for(LOOK), lambda: target.recording(0, LOOK)):
+        with pytest.raises(ValueError, match=message):
+            missed()
+    target.look_for(LOOK, {0})
 
 
 def test_a_run_on_recordings_alone(tmp_path, capsys):
@@ -177,6 +186,12 @@ def test_a_run_on_recordings_alone(tmp_path, capsys):
     summary = json.loads((run / "summary.json").read_text())
     assert (summary["target"], summary["target_interactions"], summary["visual_only"]) == ("recordings", 60, None)
     assert main(["ledger", "--run", str(run)]) == 0
+
+    (tmp_path / "a.h5").rename(tmp_path / "b.h5")  # the run has what it needs of it
+    assert main(["report", "--run", str(run)]) == main(["fit", "--config", str(run / "config.yaml")]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", "--run", str(run)]) == 1
+    assert "recordings alone" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("there", [True, False])
