@@ -13,14 +13,16 @@ from cli.arguments import parser
 from datamodules.unpaired import read_all
 from idapt_pl.envs import TargetFailed
 from idapt_pl.evaluation.estimates import EstimateErrors
+from idapt_pl.evaluation.told_outcomes import read_told_outcomes
 from idapt_pl.files import write_json
 from idapt_pl.ranges import COUNT_OR_NONE, SEED, Range, check_ranges
 from idapt_pl.rl.physics_observer import ActingByPhysics
 from idapt_pl.rl.policy import Policy, deterministic
 from idapt_pl.rl.returns import EpisodeOutcome, evaluate
 from idapt_pl.run import Run
-from idapt_pl.run_folder.interactions import later_entries, later_outcome_entries, later_outcomes
+from idapt_pl.run_folder.interactions import EVALUATED_BY_HAND, later_entries, later_outcome_entries, later_outcomes
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
+from idapt_pl.run_folder.results import step_of
 from idapt_pl.stages.labels import smoother_of
 from idapt_pl.stages.schedule import length_of
 from idapt_pl.targets import RecordedTarget
@@ -40,6 +42,13 @@ def main(args: list[str]) -> int:
         help="let policies act on states that so many simulations of the repaired source agree on with what is read of "
         "the images, in place of their filter; about 100",
     )
+    p.add_argument(
+        "--outcomes",
+        type=Path,
+        metavar="CSV",
+        help="of a target that is known from recordings alone: what you saw when you played exported policies there; "
+        "columns step, outcome, control_steps, a row for each episode (docs/guide/own_robot.md)",
+    )
     p.add_argument("--json", action="store_true", help="print JSON instead of a table")
     o = p.parse_args(args)
     values = {"--episodes": o.episodes, "--seed": o.seed, "--physics": o.physics}
@@ -50,8 +59,10 @@ def main(args: list[str]) -> int:
             f"{o.run} is a run of {run.config.method}, whose policy acts on translations of the target: what it "
             "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
         )
-    if isinstance(run.worlds.target, RecordedTarget):
-        raise ValueError(f"the target {run.worlds.target.name} is known from recordings alone, and cannot be played")
+    if o.outcomes is not None or isinstance(run.worlds.target, RecordedTarget):
+        told = told_policies(run, o.outcomes)
+        run.restore_ledger()  # afterwards: an earlier table counts no more
+        return reported(run, told, run.folder / EVALUATED_BY_HAND, o.json)
     if not run.worlds.target.measured:
         raise ValueError(
             f"the target {run.worlds.target.name} is not measured. To have its rewards read (or, with ask, to be "
@@ -73,9 +84,14 @@ def main(args: list[str]) -> int:
     write_json(path, result, checked=True)
     if not o.physics:
         KeptOutcomes(run.folder, later_outcomes(o.episodes, o.seed)).forget()
+    return reported(run, result, path, o.json)
+
+
+def reported(run: Run, result: dict, path: Path, as_json: bool) -> int:
+    """Count and print what was measured. Returns the exit code."""
     for entry in later_entries(path):
         run.worlds.ledger.enter(entry["step"], entry["purpose"], entry["count"])
-    if o.json:
+    if as_json:
         print(json.dumps(result, indent=2))
         return 0
     print(f"{'policy':<28}{'target':>18}{'plain source':>18}")
@@ -83,6 +99,36 @@ def main(args: list[str]) -> int:
         cells = [f"{r[d]['mean']:.2f} ± {r[d]['std']:.2f}" if d in r else "-" for d in ("target", "source")]
         print(f"{name:<28}{cells[0]:>18}{cells[1]:>18}")
     return 0
+
+
+def told_policies(run: Run, table: Path | None) -> dict:
+    """What a person saw of policies in a target that cannot be played from here; kept in the run folder.
+
+    Raises:
+        ValueError: if there is no table, it makes no sense, or the target can be played.
+    """
+    target = run.worlds.target
+    if not isinstance(target, RecordedTarget):
+        raise ValueError(f"--outcomes is for recorded targets; {target.name} can be played: target: {{measure: ask}}")
+    if table is None:
+        raise ValueError(
+            f"the target {target.name} is known from recordings alone, and cannot be played from here. Play an "
+            "exported policy (idapt export), write down how each episode went, and give --outcomes outcomes.csv"
+        )
+    told = read_told_outcomes(table, run.worlds.task.metric == "success")
+    names = {played_as(path): name for name, path in finished_policies(run)}
+    if unknown := set(told) - set(names):
+        raise ValueError(f"{table}: step is {sorted(unknown)[0]!r}; the run has policies of {', '.join(names)}")
+    policies = {name: {"target": told[step].to_dict()} for step, name in names.items() if step in told}
+    result = {"run": str(run.folder), "policies": policies}
+    write_json(run.folder / EVALUATED_BY_HAND, result, checked=True)
+    return result
+
+
+def played_as(checkpoint: Path) -> str:
+    """What a table of outcomes calls a policy: its grounding step, ``direct`` for the source's, or ``oracle``."""
+    stage, step = checkpoint.parent.name, checkpoint.parent.parent.name
+    return {"source_policy": "direct", "policy": str(step_of(Path(step)))}.get(stage, stage)
 
 
 def measure_policies(run: Run, episodes: int, seed: int) -> dict[str, dict]:

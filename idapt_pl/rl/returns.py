@@ -23,6 +23,13 @@ class Returns:
     interactions: int
     successes: tuple[bool, ...] = ()
 
+    @classmethod
+    def of(cls, outcomes: Sequence[EpisodeOutcome]) -> Returns:
+        """Of outcomes; episodes that were not played to their end only cost."""
+        whole = [o for o in outcomes if o.whole]
+        reached = tuple(o.reached for o in whole if o.reached is not None)
+        return cls(tuple(o.gained for o in whole), sum(o.steps for o in outcomes), reached)
+
     @property
     def mean(self) -> float:
         return float(np.mean(self.successes or self.returns))
@@ -83,9 +90,7 @@ def evaluate(
     while (finished := sum(o.whole for o in outcomes)) < episodes:
         playing = np.arange(env.num_envs) < episodes - finished
         outcomes += play_together(env, act, playing, seed + finished, watch, keep or (lambda outcome: None))
-    whole = [o for o in outcomes if o.whole]
-    reached = tuple(o.reached for o in whole if o.reached is not None)
-    return Returns(tuple(o.gained for o in whole), sum(o.steps for o in outcomes), reached)
+    return Returns.of(outcomes)
 
 
 def play_together(

@@ -23,8 +23,12 @@ VIDEO_STEPS = 75
 DIRECT_TRANSFER = "evaluation of direct transfer"
 ORACLE, ORACLE_EVALUATION = "oracle reference", "evaluation of the oracle"
 
+EVALUATED_BY_HAND = "evaluation_by_hand.json"
+"""Outcomes that a person told `idapt evaluate`."""
+
 KNOWN = re.compile(
-    rf"training|evaluation|{DIRECT_TRANSFER}|{ORACLE}|{ORACLE_EVALUATION}|evaluation of .+, \d+ episodes, seed -?\d+"
+    rf"training|evaluation|{DIRECT_TRANSFER}|{ORACLE}|{ORACLE_EVALUATION}|evaluation of .+, \d+ episodes"
+    r"(, seed -?\d+| by hand)"
 )
 """Purposes whose interactions are in files that are known here; entries of others are left as they are."""
 
@@ -58,6 +62,11 @@ def oracle_interactions(recording: Path, num_envs: int, warmup_steps: int) -> in
 def later_evaluation(policy: str, episodes: int, seed: int) -> str:
     """The purpose of what ``idapt evaluate`` does."""
     return f"evaluation of {policy}, {episodes} episodes, seed {seed}"
+
+
+def told_evaluation(policy: str, episodes: int) -> str:
+    """The purpose of what a person played and judged."""
+    return f"evaluation of {policy}, {episodes} episodes by hand"
 
 
 def entry(step: int, purpose: str, count: int) -> dict[str, Any]:
@@ -154,10 +163,14 @@ def evaluated_steps(path: Path) -> int:
 def later_entries(path: Path) -> list[dict]:
     """Entries of a file that ``idapt evaluate`` wrote."""
     result = read_json(path, cure="Delete it, or run the same `idapt evaluate` again.")
-    return [
-        entry(-1, later_evaluation(name, result["episodes"], result["seed"]), domains["target"]["interactions"])
-        for name, domains in result["policies"].items()
-    ]
+
+    def purpose(name: str, target: dict) -> str:
+        if path.name == EVALUATED_BY_HAND:
+            return told_evaluation(name, len(target["returns"]))
+        return later_evaluation(name, result["episodes"], result["seed"])
+
+    there = {name: domains["target"] for name, domains in result["policies"].items()}
+    return [entry(-1, purpose(name, target), target["interactions"]) for name, target in there.items()]
 
 
 def later_outcomes(episodes: int, seed: int) -> str:

@@ -191,7 +191,26 @@ def test_a_run_on_recordings_alone(tmp_path, capsys):
     assert main(["report", "--run", str(run)]) == main(["fit", "--config", str(run / "config.yaml")]) == 0
     capsys.readouterr()
     assert main(["evaluate", "--run", str(run)]) == 1
-    assert "recordings alone" in capsys.readouterr().err
+    assert "give --outcomes outcomes.csv" in capsys.readouterr().err
+
+    evaluate, table = ["evaluate", "--run", str(run), "--outcomes", str(tmp_path / "seen.csv")], tmp_path / "seen.csv"
+    table.write_text("step,outcome,control_steps\n1,2.5,40\n")
+    assert main(evaluate) == 1 and "step is '1'; the run has policies of direct, 0" in capsys.readouterr().err
+    table.write_text("step,outcome,control_steps\n0,2.5,40\n")
+    assert main(evaluate) == 0
+    table.write_text("step,outcome,control_steps\n0,2.5,40\ndirect,1,20\n0,3.5,41\n")
+    capsys.readouterr()
+    assert main([*evaluate, "--json"]) == main(["ledger", "--run", str(run), "--json"]) == 0
+    told = json.JSONDecoder().raw_decode(capsys.readouterr().out)[0]["policies"]
+    assert list(told) == ["direct transfer", "visual grounding, step 0"]
+    assert (
+        told["visual grounding, step 0"]["target"] | {"std": 0.5, "interactions": 81, "mean": 3.0}
+        == (told["visual grounding, step 0"]["target"])
+    )
+    (run / "ledger.json").unlink()
+    assert main(["ledger", "--run", str(run), "--json"]) == 0
+    counts = {e["purpose"]: e["count"] for e in json.loads(capsys.readouterr().out)["entries"] if e["step"] < 0}
+    assert counts["evaluation of visual grounding, step 0, 2 episodes by hand"] == 81
 
 
 @pytest.mark.parametrize("there", [True, False])
