@@ -31,6 +31,7 @@ from datamodules.recordings import (
     fit_to_model,
     read_mapping,
     read_recording,
+    resampled,
     summary,
     write_draft,
 )
@@ -60,6 +61,8 @@ def main(args: list[str]) -> int:
         layout = read_layout(o.model, o.actuators)
         mapping = fit_to_model(mapping, layout)
     imported = import_recordings(o.recordings, mapping, layout, o.format, o.repair)
+    if o.period is not None:
+        imported = resampled(imported, o.period)
     print_preview(imported, mapping)
     if o.dry_run:
         print("dry run: nothing was written")
@@ -82,6 +85,9 @@ def _options(args: list[str]) -> argparse.Namespace:
     p.add_argument("--out", type=Path, help="trajectory file to write (HDF5); not needed with --dry-run")
     p.add_argument("--format", choices=FORMATS, help="default: told by the recording's name")
     p.add_argument("--repair", action="store_true", help="drop rows without numbers, and single ones whose time slips")
+    p.add_argument(
+        "--period", type=float, metavar="SECONDS", help="resample to a longer period: nearest images, held commands"
+    )
     p.add_argument("--dry-run", action="store_true", help="show what was understood and write nothing")
     o = p.parse_args(args)
     if o.draft_map is not None and o.model is None:

@@ -8,6 +8,7 @@ from datamodules.recordings.errors import RecordingError
 from datamodules.recordings.formats import FORMATS, read_recording
 from datamodules.recordings.mapping import Mapping, parse_mapping, read_mapping
 from datamodules.recordings.preview import Row, summary
+from datamodules.recordings.resample import resampled
 
 __all__ = [
     "FORMATS",
@@ -25,6 +26,7 @@ __all__ = [
     "parse_mapping",
     "read_mapping",
     "read_recording",
+    "resampled",
     "summary",
     "write_draft",
 ]

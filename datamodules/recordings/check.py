@@ -70,12 +70,12 @@ def fit_to_model(mapping: Mapping, model: ModelLayout) -> Mapping:
     Raises:
         RecordingError: naming the map, the key and the model's names.
     """
-    for kind, mapped, layouts in (
-        ("joint", mapping.joints, model.joints),
-        ("actuator", mapping.actuators, model.actuators),
-    ):
+    kinds: list[tuple[str, dict, tuple]] = [("actuator", mapping.actuators, model.actuators)]
+    if mapping.joints:  # else there are images alone
+        kinds.insert(0, ("joint", mapping.joints, model.joints))
+    for kind, mapped, layouts in kinds:
         _check_names(mapping, kind, mapped, [layout.name for layout in layouts], model.name)
-    joints = {j.name: _fit_joint(mapping, mapping.joints[j.name], j) for j in model.joints}
+    joints = {j.name: _fit_joint(mapping, mapping.joints[j.name], j) for j in model.joints if mapping.joints}
     return replace(mapping, joints=joints, actuators={a.name: mapping.actuators[a.name] for a in model.actuators})
 
 
@@ -136,12 +136,12 @@ def check_against_model(imported: Imported, model: ModelLayout) -> tuple[str, ..
     Raises:
         RecordingError: if a joint moves over 10 times its range.
     """
-    qpos = np.concatenate([e.observations["qpos"] for e in imported.trajectories])
+    qpos = [e.observations["qpos"] for e in imported.trajectories if "qpos" in e.observations]
     actions = np.concatenate([e.actions for e in imported.trajectories])
     notes, column = [], 0
-    for joint in model.joints:
+    for joint in model.joints if qpos else ():
         if joint.type in SI:
-            notes += _joint_doubts(joint, qpos[:, column], model.name)
+            notes += _joint_doubts(joint, np.concatenate(qpos)[:, column], model.name)
         column += WIDTHS[joint.type][0]
     for actuator, values in zip(model.actuators, actions.T, strict=True):
         notes += _actuator_doubts(actuator, values)

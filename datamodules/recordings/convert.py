@@ -77,7 +77,9 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
     """One episode of T+1 = len(times) rows."""
     rows = len(times)
-    observations = {"qpos": _rows([j.position for j in mapping.joints.values()], recorded, rows)}
+    observations = {}
+    if mapping.joints:
+        observations["qpos"] = _rows([j.position for j in mapping.joints.values()], recorded, rows)
     if mapping.velocities:
         observations["qvel"] = _rows(mapping.velocities, recorded, rows)
     if mapping.images is not None:
@@ -133,7 +135,7 @@ def _check_length(recorded: Recorded, column: str, length: int, *expected: int) 
     if length not in expected:
         raise RecordingError(
             f"{recorded.source}: column {column!r} has {length} rows, expected {' or '.join(map(str, expected))} "
-            "as the first joint's position has"
+            "as the first joint's position has, or the images where the map has no joints"
         )
 
 
@@ -142,8 +144,7 @@ def _check_length(recorded: Recorded, column: str, length: int, *expected: int) 
 
 def _times(recorded: Recorded, mapping: Mapping) -> np.ndarray:
     """Seconds since the episode's first row, (T+1,), increasing."""
-    position = next(joint.position for joint in mapping.joints.values() if not joint.position.constant)
-    rows = len(recorded.column(position.columns[0], position.key))
+    rows = len(recorded.column(*mapping.row_column))
     if rows < 2:
         raise RecordingError(f"{recorded.source}: has {rows} rows, expected at least 2 to make one step")
     if mapping.time is None:

@@ -136,7 +136,16 @@ class Mapping:
     @property
     def survey(self) -> bool:
         """Whether it names no columns, because all of them are wanted."""
-        return not self.joints
+        return not self.joints and self.images is None
+
+    @property
+    def row_column(self) -> tuple[str, str]:
+        """The column whose rows are the recording's, one of :meth:`alternatives`' first, and its key in the map."""
+        for joint in self.joints.values():
+            if not joint.position.constant:
+                return joint.position.columns[0], joint.position.key
+        assert self.images is not None  # a map has one or the other
+        return self.images.column, "images.column"
 
     @property
     def velocities(self) -> list[Channel]:
@@ -206,8 +215,10 @@ def _mapping(content: Any, source: str) -> Mapping:
     top = _section("the map", content, KEYS)
     time, other_times, dt = _clock(top)
     joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
-    if not any(not joint.position.constant for joint in joints.values()):
-        raise RecordingError("joints: expected at least one joint with a position column; see docs/guide/import.md")
+    if "images" not in top and all(joint.position.constant for joint in joints.values()):
+        raise RecordingError(
+            "joints: expected at least one joint with a position column, or images; see docs/guide/import.md"
+        )
     actuators = {
         name: _channel(f"actuators.{name}", value, actuator_unit)
         for name, value in _names("actuators", top.get("actuators"))

@@ -30,7 +30,9 @@ def summary(imported: Imported, mapping: Mapping) -> tuple[list[Row], list[str]]
 
 def _rows(imported: Imported, mapping: Mapping) -> list[Row]:
     joints = mapping.joints.items()
-    groups = [("observations", "qpos", [(f"{name} position", joint.position) for name, joint in joints])]
+    groups = []
+    if mapping.joints:
+        groups.append(("observations", "qpos", [(f"{name} position", joint.position) for name, joint in joints]))
     if mapping.velocities:
         velocities = zip(mapping.joints, mapping.velocities, strict=True)
         groups.append(("observations", "qvel", [(f"{name} velocity", channel) for name, channel in velocities]))
@@ -74,11 +76,16 @@ def _lines(imported: Imported) -> list[str]:
         f"episodes {len(trajectories)}, steps {trajectories.total_steps} ({spread} an episode), "
         f"duration {timing.duration:.4g} s",
         f"dt {timing.dt:.6g} s, jitter {timing.jitter:.2%}: {sampling}",
-        f"qpos {first.observations['qpos'].shape[1]}, "
-        + (f"qvel {first.observations['qvel'].shape[1]}" if "qvel" in first.observations else "no qvel")
+        ", ".join(_shape(name, first.observations.get(name)) for name in ("qpos", "qvel"))
+        + (f", {_shape('pixels', first.observations['pixels'])}" if "pixels" in first.observations else "")
         + f", actions {first.actions.shape[1]}"
         + (" (passive: nothing is driven)" if not first.actions.shape[1] else ""),
     ]
     if first.infos:
         lines.append(f"infos kept: {', '.join(first.infos)}")
     return lines
+
+
+def _shape(name: str, array: np.ndarray | None) -> str:
+    """How many numbers, or pixels, a row of an observation has."""
+    return f"no {name}" if array is None else f"{name} {' x '.join(map(str, array.shape[1:3]))}"

@@ -17,7 +17,8 @@ def empty_rows(recorded: Recorded, mapping: Mapping) -> np.ndarray:
     """
     measured = [c for joint in mapping.joints.values() for c in (joint.position, joint.velocity) if c is not None]
     columns = [column for channel in measured for column in channel.columns]
-    rows = max((len(recorded.columns[c]) for c in columns if c in recorded.columns), default=0)
+    counted = [*columns, *([mapping.images.column] if mapping.images else [])]
+    rows = max((len(recorded.columns[c]) for c in counted if c in recorded.columns), default=0)
     empty = np.zeros(rows, bool)
     for column in [*columns, *([mapping.time[0]] if mapping.time else [])]:
         empty[: len(recorded.columns.get(column, ()))] |= _no_numbers(recorded, column)[:rows]

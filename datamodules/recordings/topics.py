@@ -61,7 +61,8 @@ def read_log(path: Path, names: Iterable[str], mapping: Mapping, read: ReadTopic
         return [Recorded(str(path), {f"{t}.{k}": a for t, topic in surveyed.items() for k, a in topic.columns.items()})]
     wanted = _wanted_topics(path, names, mapping)
     topics = read(wanted, mapping.images, None)
-    clock = mapping.clock or wanted[0]  # the first column's
+    alone = mapping.images if not mapping.joints else None
+    clock = mapping.clock or (alone.column if alone else wanted[0])  # the first column's
     if clock not in topics:
         raise RecordingError(f"{path}: the map's clock: no topic {clock!r}; " + choices(clock, topics, "topics are"))
     return [Recorded(str(path), _on_rows_of(clock, topics))]

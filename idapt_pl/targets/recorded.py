@@ -91,7 +91,8 @@ class RecordedTarget(Target):
         if abs(recorded.dt - self.period) > SAME_RATE * self.period:
             raise TrajectoryFileError(
                 f"{path}: one step every {recorded.dt:g} s, the source's are {self.period:g} s long. Record at that "
-                "rate, or make the source's steps as long (task_options: {action_repeat: ...})"
+                "rate, make the source's steps as long (task_options: {action_repeat: ...})"
+                + (f", or resample: idapt import --period {self.period:g}" if recorded.dt < self.period else "")
             )
         fit, nu, made = Fitted(image_size, image_size, "crop"), len(self.actions.low), []
         for i, episode in enumerate(recorded):

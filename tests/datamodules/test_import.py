@@ -504,7 +504,7 @@ def test_mistake_in_the_map_is_named_by_file_and_key(content, message, write_map
 def test_maps_of_the_documentation_are_read(write_map):
     blocks = (ROOT / "docs" / "guide" / "import.md").read_text().split("```yaml\n")[1:]
     mappings = [read_mapping(write_map(block.partition("```")[0])) for block in blocks]
-    assert len(mappings) >= 4 and all(m.joints for m in mappings)
+    assert len(mappings) >= 4 and all(m.joints or m.images for m in mappings)
 
 
 # --- mistakes in the recording --------------------------------------------------------------------------

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from test_import import MAP, MCAP_MAP, START, arrays, by_array, changed, load, messages, recorded, write_csv
+from test_import import MAP, MCAP_MAP, MODEL, START, arrays, by_array, changed, load, messages, recorded, write_csv
 
-from datamodules.recordings import RecordingError
+from datamodules.recordings import RecordingError, parse_mapping, summary
 from datamodules.recordings.frames import CHANNELS, raw_image, video_frames
 
 ROWS = 21
@@ -194,3 +194,22 @@ def test_raw_images_of_every_encoding_with_padded_rows(encoding):
 def test_mistakes_in_the_map_are_named(entry, says, tmp_path):
     with pytest.raises(RecordingError, match=says):
         load(write_csv(tmp_path / "run.csv", recorded()), MAP | {"images": entry})
+
+
+def test_images_and_actions_without_joints(tmp_path):
+    model = tmp_path / "nominal.xml"
+    model.write_text(MODEL)
+    np.savez(tmp_path / "run.npz", front=np.stack([picture(k) for k in range(ROWS)]), **arrays())
+    mapping = {"time": "t", "images": IMAGES, "actuators": {"push": "u[0]", "hinge": "u[1]"}}
+    imported = load(tmp_path / "run.npz", mapping)
+    (episode,) = imported.trajectories
+    assert_frames(episode)
+    assert set(episode.observations) == {"pixels"} and episode.actions.shape == (ROWS - 1, 2)
+    assert "no qpos, no qvel, pixels 32 x 32, actions 2" in "".join(summary(imported, parse_mapping(mapping))[1])
+    turned = mapping | {"actuators": {"hinge": "u[1]", "push": "u[0]"}}
+    (ordered,) = load(tmp_path / "run.npz", turned, model=model).trajectories
+    np.testing.assert_array_equal(ordered.actions, episode.actions)
+    with pytest.raises(RecordingError, match=r"actuators: hinge of .* is not mapped"):
+        load(tmp_path / "run.npz", mapping | {"actuators": {"push": "u[0]"}}, model=model)
+    with pytest.raises(RecordingError, match="at least one joint with a position column, or images"):
+        load(tmp_path / "run.npz", {"time": "t", "actuators": {"push": "u[0]"}})

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 from PIL import Image
 from test_targets import LAB, written
 
@@ -211,6 +212,40 @@ def test_a_run_on_recordings_alone(tmp_path, capsys):
     assert main(["ledger", "--run", str(run), "--json"]) == 0
     counts = {e["purpose"]: e["count"] for e in json.loads(capsys.readouterr().out)["entries"] if e["step"] < 0}
     assert counts["evaluation of visual grounding, step 0, 2 episodes by hand"] == 81
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_images_and_actions_that_were_imported_find_effects_and_ground_a_policy(tmp_path, capsys):
+    """Two recordings without joints, at twice the rate: resampled, then a run with a grounding step and discovery."""
+    cart, rng, files = lab_cart(tmp_path), np.random.default_rng(0), []
+    mapping = {"dt": 0.02, "images": {"column": "front", "size": 40}, "actuators": {"slide": "u"}}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(mapping))
+    for k in range(2):
+        parts = []
+        for number in range(6):
+            frames, actions, over = [cart.reset(seed=10 * k + number)[0]], [], False
+            while not over and len(actions) < 20:
+                actions.append(rng.uniform(-1, 1))
+                frame, _, over, *_ = cart.step(np.array(actions[-1:]))
+                frames.append(frame)
+            parts.append(tmp_path / f"{k}_{number}.npz")
+            np.savez(parts[-1], front=np.repeat(frames, 2, 0)[:-1], u=np.repeat(actions, 2))  # a row each 0.02 s
+        files.append(str(tmp_path / f"{k}.h5"))
+        imported = ["import", *map(str, parts), "--map", str(tmp_path / "map.yaml"), "--out", files[-1]]
+        if not k:
+            assert main(imported) == 0
+            target = make_target({"recordings": files}, make_task(SOURCE))
+            with pytest.raises(ValueError, match=r"or resample: idapt import --period 0\.04"):
+                target.recording(0, LOOK)
+        assert main([*imported, "--period", "0.04"]) == 0
+    run, config = tmp_path / "run", written(tmp_path, recordings=files)
+    assert main(["fit", "--config", str(config), "--run_dir", str(run), "--effects.discover", "true"]) == 0
+    recorded = [read_trajectories(run / f"step_0{k}/target.h5") for k in (0, 1)]
+    assert all(set(e.observations) == {"pixels"} and e.rewards is None for part in recorded for e in part)
+    assert json.loads((run / "summary.json").read_text())["target_interactions"] == sum(r.total_steps for r in recorded)
+    assert (run / "step_00/effects.json").exists() and (run / "step_01/policy/final.ckpt").exists()
+    assert main(["ledger", "--run", str(run)]) == 0
 
 
 @pytest.mark.parametrize("there", [True, False])
