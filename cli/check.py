@@ -10,12 +10,16 @@ import numpy as np
 
 from cli.arguments import parser
 from cli.fit import GroundingCLI
+from idapt_pl.envs import ActionMap
 from idapt_pl.files import write_atomically
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.run import Run
 from idapt_pl.run_folder.shipped_configs import config_path
 from idapt_pl.targets import RecordedTarget
 from idapt_pl.targets.trial_moves import TrialMoves, suspicions, try_moves
+
+SAME_BOUND, LITTLE_USED = 1e-3, 0.1
+"""Shares of a range: by which a bound may be passed, and below which hardly any of it is used."""
 
 LARGE = 4
 """How many times as large as in the run pictures are."""
@@ -40,8 +44,8 @@ def main(args: list[str]) -> int:
     worlds = run.worlds
     with closing(worlds.source(1)) as env:
         source = try_moves(env, o.share)
-    target, shown = look_at_target(run, o.share if o.move_target else None)
-    print(actions_table(run))
+    target, shown, bounds = look_at_target(run, o.share if o.move_target else None)
+    print(actions_table(run, bounds))
     picture = sheet(source, target, shown)
     write_atomically(o.out, lambda temporary: temporary.write_bytes(iio.imwrite("<bytes>", picture, extension=".png")))
     names = worlds.actions.names or tuple(map(str, range(len(source.motion))))
@@ -49,22 +53,26 @@ def main(args: list[str]) -> int:
     found = suspicions(source, target, source_names)
     if target is not None:
         print(f"\nthe target took {target.steps} control steps for this; they are in no run's ledger")
-    for sentence in found:
+    for sentence in [*(beyond_bounds(worlds.actions, *bounds) if bounds else ()), *found]:
         print(f"- {sentence}")
     print(f"\n{'look at' if not found else 'something looks wrong; look at'} {o.out}: {sheet_legend(target)}")
     return int(bool(found))
 
 
-def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray]:
-    """What the target shows when its actuators are pushed, if they may be, and its first image."""
+Bounds = tuple[np.ndarray, np.ndarray]
+"""Lower and upper bounds of actions, (nu,) each."""
+
+
+def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray, Bounds | None]:
+    """What the target shows when its actuators are pushed, if they may be; its first image; its own actions' bounds."""
     target = run.worlds.target
     if isinstance(target, RecordedTarget):
-        return None, first_frame(run, target)
+        return None, first_frame(run, target), None
     with closing(run.worlds.blind_target(-1)) as env:
         if share is not None:
             moves = try_moves(env, share)
-            return moves, moves.start
-        return None, env.reset(seed=0)[0]["pixels"][0, -1]
+            return moves, moves.start, env.own_bounds
+        return None, env.reset(seed=0)[0]["pixels"][0, -1], env.own_bounds
 
 
 def first_frame(run: Run, target: RecordedTarget) -> np.ndarray:
@@ -75,20 +83,38 @@ def first_frame(run: Run, target: RecordedTarget) -> np.ndarray:
     return target.recording(0, look).episodes[0].observations["pixels"][0]
 
 
-def actions_table(run: Run) -> str:
-    """The actions of source and target, in words."""
+def actions_table(run: Run, bounds: Bounds | None = None) -> str:
+    """The actions of source and target, in words: what the target is told, and what it takes if that is known."""
     actions, period = run.worlds.actions, run.worlds.period
     low, high = actions.ends
     lines = [
         f"control period {period:g} s; images {run.config.image_size} pixels, {run.config.frame_stack} at a time",
         "",
     ]
-    lines.append(f"{'action':<20}{'source':>24}{'target':>24}")
+    takes = f"{'target takes':>24}" if bounds else ""
+    lines.append(f"{'action':<20}{'source':>24}{'target is told':>24}{takes}")
     for i, j in enumerate(actions.order):
         name = actions.names[i] if actions.names else str(j)
-        ends = [f"{a:.4g} to {b:.4g}" for a, b in ((actions.low[j], actions.high[j]), (low[i], high[i]))]
-        lines.append(f"{name:<20}{ends[0]:>24}{ends[1]:>24}")
+        pairs = [
+            (actions.low[j], actions.high[j]),
+            (low[i], high[i]),
+            *([(bounds[0][i], bounds[1][i])] if bounds else []),
+        ]
+        lines.append(f"{name:<20}" + "".join(f"{f'{a:.4g} to {b:.4g}':>24}" for a, b in pairs))
     return "\n".join(lines)
+
+
+def beyond_bounds(actions: ActionMap, low: np.ndarray, high: np.ndarray) -> list[str]:
+    """Actions that the target is told beyond its own bounds, or that use little of them, a sentence each."""
+    found = []
+    for i, (a, b) in enumerate(zip(*actions.ends, strict=True)):
+        name, width = actions.names[i] if actions.names else f"action {i}", high[i] - low[i]
+        told, takes = f"{name} is told {a:.4g} to {b:.4g}", f"the target takes {low[i]:.4g} to {high[i]:.4g}"
+        if a < low[i] - SAME_BOUND * width or b > high[i] + SAME_BOUND * width:
+            found.append(f"{told}, and {takes}: what is beyond is clipped (see target.actions)")
+        elif b - a < LITTLE_USED * width:
+            found.append(f"{told}, and {takes}: are these the same units (see target.actions)?")
+    return found
 
 
 def sheet(source: TrialMoves, target: TrialMoves | None, shown: np.ndarray) -> np.ndarray:

@@ -25,7 +25,6 @@ from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.run_folder.results import step_of
 from idapt_pl.stages.labels import smoother_of
 from idapt_pl.stages.schedule import length_of
-from idapt_pl.targets import RecordedTarget
 
 
 def main(args: list[str]) -> int:
@@ -59,7 +58,7 @@ def main(args: list[str]) -> int:
             f"{o.run} is a run of {run.config.method}, whose policy acts on translations of the target: what it "
             "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
         )
-    if o.outcomes is not None or isinstance(run.worlds.target, RecordedTarget):
+    if o.outcomes is not None or not run.worlds.target.playable:
         told = told_policies(run, o.outcomes)
         run.restore_ledger()  # afterwards: an earlier table counts no more
         return reported(run, told, run.folder / EVALUATED_BY_HAND, o.json)
@@ -108,7 +107,7 @@ def told_policies(run: Run, table: Path | None) -> dict:
         ValueError: if there is no table, it makes no sense, or the target can be played.
     """
     target = run.worlds.target
-    if not isinstance(target, RecordedTarget):
+    if target.playable:
         raise ValueError(f"--outcomes is for recorded targets; {target.name} can be played: target: {{measure: ask}}")
     if table is None:
         raise ValueError(

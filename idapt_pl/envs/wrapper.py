@@ -26,6 +26,15 @@ class ImageEnvWrapper(gymnasium.vector.VectorWrapper):
         """Control period, s."""
         return self.env.dt
 
+    @property
+    def own_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the actions that what is wrapped takes itself, (nu,) each."""
+        if isinstance(self.env, ImageEnvWrapper):
+            return self.env.own_bounds
+        space = self.env.single_action_space
+        assert isinstance(space, gymnasium.spaces.Box)  # as of all image environments
+        return space.low, space.high
+
 
 class ShownOtherwise(ImageEnvWrapper, ABC):
     """A wrapper that makes something else of every observation, the last ones of episodes included."""

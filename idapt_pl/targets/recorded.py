@@ -43,6 +43,7 @@ class RecordedTarget(Target):
     period: float
     files: tuple[Path, ...] = ()
     inbox: Path | None = None
+    playable: bool = False
     measured: bool = False
 
     def recording(self, k: int, look: Look) -> Trajectories:

@@ -43,6 +43,7 @@ class Target(ABC):
 
     Attributes:
         name: for file names and reports.
+        playable: whether it can be played; if not, it is known from recordings alone.
         measured: whether returns there may be reported; nothing else reads rewards.
         has_states: whether it shows the source's states, so that errors in them can be reported.
         actions: what it is told for the source's actions.
@@ -51,6 +52,7 @@ class Target(ABC):
     """
 
     name: str
+    playable: bool = True
     measured: bool = True
     has_states: bool = False
     repeatable: bool = True

@@ -7,7 +7,9 @@ import pytest
 import yaml
 from test_targets import LAB, written
 
+from cli.check import beyond_bounds
 from cli.main import main
+from idapt_pl.envs import ActionMap
 from idapt_pl.targets.trial_moves import CELLS, TrialMoves, apparent_motion, crossed, suspicions
 
 
@@ -101,6 +103,14 @@ def test_what_cannot_be_seen_is_said():
     assert "nearly of one colour" in suspicions(moves(SOURCE), moves(SOURCE, start=flat), NAMES)[0]
 
 
+def test_actions_that_the_target_cannot_be_told_or_that_hardly_move_it_are_named():
+    actions = ActionMap.from_config({"scale": [1.0, 0.01], "offset": [0.5, 0.0]}, -np.ones(2), np.ones(2), NAMES)
+    beyond, little = beyond_bounds(actions, -np.ones(2), np.ones(2))
+    assert beyond.startswith("shoulder is told -0.5 to 1.5, and the target takes -1 to 1: what is beyond")
+    assert little.startswith("elbow is told -0.01 to 0.01, and") and "same units" in little
+    assert beyond_bounds(actions, np.array([-0.5, -0.01]), np.array([1.5, 0.01])) == []
+
+
 def test_a_config_whose_target_moves_the_other_way(tmp_path, monkeypatch, capsys):
     (tmp_path / "my_lab.py").write_text(LAB)
     monkeypatch.chdir(tmp_path)
@@ -116,9 +126,15 @@ def test_a_config_whose_target_moves_the_other_way(tmp_path, monkeypatch, capsys
     command = ["check", "--config", str(config(1)), "--out", str(tmp_path / "seen.png"), "--move-target"]
     assert main(command) == 0
     said = capsys.readouterr().out
-    assert "slide" in said and "-3 to 3" in said and "control steps for this" in said
+    assert (
+        "slide" in said and said.count("-3 to 3") == 3 and "target takes" in said and "control steps for this" in said
+    )
     assert (tmp_path / "seen.png").stat().st_size > 500 and not (tmp_path / "runs").exists()
 
+    config(2)
+    assert main(command[:-1]) == 0
+    told = "- slide is told -6 to 6, and the target takes -3 to 3: what is beyond is clipped (see target.actions)"
+    assert told in capsys.readouterr().out
     config(-1)
     assert main(command) == 1
     assert "slide moves the other way: see the sign of target.actions.scale" in capsys.readouterr().out
