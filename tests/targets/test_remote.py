@@ -3,16 +3,20 @@
 import ast
 import json
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
+import types
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from conftest import tiny_config
+from conftest import ROOT, tiny_config
 
 from cli.main import main
 from datamodules import read_trajectories
@@ -49,6 +53,10 @@ class Cart(Robot):
         self.x += self.dt * self.v
         self.t += 1
         return self.picture(), {"over": self.t == 20 or abs(self.x) > 1, "reward": 1.0}
+
+    def stop(self):
+        self.v = 0.0
+        print("stopped", flush=True)
 
 
 serve_robot(Cart(), port=int(sys.argv[2]))
@@ -165,3 +173,139 @@ def test_images_that_are_not_what_was_said_are_refused_on_the_robots_side():
     assert "not finite" in json.loads(line)["error"]
     (line,) = robot_server.answer(robot_server.Robot(), {"do": "step", "action": [0.0]})
     assert "write step" in json.loads(line)["error"]
+
+
+def stops(process):
+    """Reads what the robot's side prints until it says that it stopped the robot."""
+    return any(line.strip() == b"stopped" for line in iter(process.stdout.readline, b""))
+
+
+@pytest.mark.parametrize("how", ["closed", "broken", "killed", "silent"])
+def test_a_robot_is_stopped_when_the_run_goes_away(start, how):
+    port, process = start()
+    robot = RemoteRobot(port=port, seconds=20)
+    robot.reset(seed=1)
+    assert stops(process), "before a reset"
+    robot.step(np.array([1.0]))
+    if how == "closed":
+        robot.close()
+    elif how == "broken":  # as where the run's process crashes: what it was sent is not read
+        robot._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        robot._stream.write(json.dumps({"do": "step", "action": [1.0]}).encode() + b"\n")
+        robot.close()
+    elif how == "killed":
+        process.send_signal(signal.SIGTERM)
+    assert stops(process), f"the run is {how}"
+    if how == "killed":
+        assert process.wait(5) == 128 + signal.SIGTERM
+    else:  # the next run is served, or this one goes on
+        with closing(robot if how == "silent" else RemoteRobot(port=port, seconds=20)) as following:
+            if how != "silent":
+                following.reset(seed=1)
+            assert following.step(np.array([1.0]))[0].shape == (40, 48, 3)
+
+
+def test_a_robot_is_stopped_where_an_episode_ends_or_fails(start):
+    port, process = start(fails_at=22)
+    with closing(RemoteRobot(port=port, seconds=20)) as robot:
+        robot.reset(seed=1)
+        assert stops(process)
+        ends = [robot.step(np.array([0.0]))[2] for _ in range(20)]
+        assert ends == [False] * 19 + [True] and stops(process)
+        robot.reset(seed=1)
+        assert stops(process)
+        robot.step(np.array([0.0]))
+        with pytest.raises(ConnectionError, match="the motor is hot"):
+            robot.step(np.array([0.0]))
+        assert stops(process)
+
+
+def test_a_robot_is_stopped_while_its_images_are_not_taken(capsys):
+    class Large(robot_server.Robot):
+        image, silence, stopped = (4000, 3000, 3), 0.1, 0
+
+        def step(self, action):
+            return np.zeros(self.image, np.uint8), {}
+
+        def stop(self):
+            self.stopped += 1
+            raise OSError("no power")
+
+    robot = Large()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        ours, theirs = socket.create_connection(listening.getsockname()), listening.accept()[0]
+    with ours, theirs:
+        threading.Thread(target=robot_server.converse, args=(robot, theirs)).start()
+        ours.sendall(b'{"do": "step", "action": [0.0]}\n')
+        deadline = time.monotonic() + 10
+        while not robot.stopped and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert robot.stopped
+        with ours.makefile("rb") as stream:
+            assert json.loads(stream.readline())["shape"] == [4000, 3000, 3]
+            assert len(stream.read(36_000_000)) == 36_000_000, "a network that comes back is gone on with"
+    assert "could not be stopped" in capsys.readouterr().out
+
+
+ROS_PAGE = (ROOT / "docs/guide/ros2.md").read_text()
+ROS_ARM = next(part.split("```")[0] for part in ROS_PAGE.split("```python\n") if part.startswith("# my_server.py"))
+
+
+class Camera:
+    """Stands in for rclpy: 100 images a second, whose rows are padded and whose first number tells their place."""
+
+    def __init__(self):
+        self.sent, self.shown, self.see = [], 0, None
+
+    def create_subscription(self, kind, topic, see, quality):
+        assert quality == "best effort"
+        self.see = see
+
+    def create_publisher(self, *_):
+        return types.SimpleNamespace(publish=lambda message: self.sent.append(message.data))
+
+    def spin(self, _):
+        while True:
+            time.sleep(0.01)
+            self.shown += 1
+            rows = np.full((480, 640 * 3 + 32), min(self.shown, 255), np.uint8)
+            rows[:, 640 * 3 :] = 0
+            self.see(types.SimpleNamespace(data=rows.tobytes(), height=480, width=640, step=rows.shape[1]))
+
+
+@pytest.fixture
+def ros_arm(monkeypatch):
+    """The arm of the guide, and the camera that stands in for ROS."""
+    camera = Camera()
+    said = {
+        "rclpy": {"init": lambda **_: None, "create_node": lambda _: camera, "spin": camera.spin},
+        "rclpy.qos": {"qos_profile_sensor_data": "best effort"},
+        "rclpy.signals": {"SignalHandlerOptions": types.SimpleNamespace(NO=None)},
+        "sensor_msgs.msg": {"Image": None},
+        "std_msgs.msg": {"Float64MultiArray": types.SimpleNamespace},
+        "robot_server": vars(robot_server),
+    }
+    for name, parts in said.items():
+        module = types.ModuleType(name)
+        vars(module).update(parts)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    scope = {"__name__": "my_server"}
+    exec(ROS_ARM, scope)
+    return scope["Arm"](), camera
+
+
+def test_the_guides_ros_arm_sees_new_images_and_stops(ros_arm):
+    arm, camera = ros_arm
+    before = camera.shown
+    (line, data) = robot_server.answer(arm, {"do": "reset"})
+    assert camera.sent == [[0.0]] and json.loads(line)["shape"] == [480, 640, 3]
+    assert len(set(data)) == 1 and data[0] > before, "padding is left out, and the image is not an old one"
+    begin = time.monotonic()
+    for _ in range(5):
+        robot_server.answer(arm, {"do": "step", "action": [9.0]})
+    assert time.monotonic() - begin >= 0.18 and camera.sent[1:] == [[5.0]] * 5
+    camera.see = lambda _: None
+    time.sleep(0.6)
+    assert "no image" in robot_server.answer(arm, {"do": "step", "action": [0.0]})[0].decode()
+    assert camera.sent[-1] == [0.0]
