@@ -15,8 +15,10 @@ from idapt_pl.files import write_atomically
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.run import Run
 from idapt_pl.run_folder.shipped_configs import config_path
-from idapt_pl.targets import RecordedTarget
-from idapt_pl.targets.trial_moves import TrialMoves, suspicions, try_moves
+from idapt_pl.targets import RecordedTarget, RobotTarget
+from idapt_pl.targets.action_units import action_units
+from idapt_pl.targets.recording_check import recorded_suspicions
+from idapt_pl.targets.trial_moves import TrialMoves, suspicions, told_pace, try_moves
 
 SAME_BOUND, LITTLE_USED = 1e-3, 0.1
 """Shares of a range: by which a bound may be passed, and below which hardly any of it is used."""
@@ -50,9 +52,17 @@ def main(args: list[str]) -> int:
     write_atomically(o.out, lambda temporary: temporary.write_bytes(iio.imwrite("<bytes>", picture, extension=".png")))
     names = worlds.actions.names or tuple(map(str, range(len(source.motion))))
     source_names = tuple(names[int(np.flatnonzero(worlds.actions.order == i)[0])] for i in range(len(names)))
-    found = suspicions(source, target, source_names)
+    found = suspicions(source, target, source_names, shown, worlds.frame_stack)
+    if isinstance(worlds.target, RecordedTarget):
+        found += recorded_suspicions(worlds.target, worlds.look)
     if target is not None:
         print(f"\nthe target took {target.steps} control steps for this; they are in no run's ledger")
+        if target.took and isinstance(worlds.target, RobotTarget) and not worlds.target.simulated:
+            said, slow = told_pace(target.took, worlds.period)
+            if slow:
+                found.append(said)
+            else:
+                print(said)
     for sentence in [*(beyond_bounds(worlds.actions, *bounds) if bounds else ()), *found]:
         print(f"- {sentence}")
     print(f"\n{'look at' if not found else 'something looks wrong; look at'} {o.out}: {sheet_legend(target)}")
@@ -63,8 +73,8 @@ Bounds = tuple[np.ndarray, np.ndarray]
 """Lower and upper bounds of actions, (nu,) each."""
 
 
-def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray, Bounds | None]:
-    """What the target shows when its actuators are pushed, if they may be; its first image; its own actions' bounds."""
+def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np.ndarray | None, Bounds | None]:
+    """The target when its actuators are pushed, if they may be; its first image, if there is one; its own bounds."""
     target = run.worlds.target
     if isinstance(target, RecordedTarget):
         return None, first_frame(run, target), None
@@ -75,12 +85,11 @@ def look_at_target(run: Run, share: float | None) -> tuple[TrialMoves | None, np
         return None, env.reset(seed=0)[0]["pixels"][0, -1], env.own_bounds
 
 
-def first_frame(run: Run, target: RecordedTarget) -> np.ndarray:
-    """Of what was recorded for step 0; white where nothing is there yet."""
-    look = run.worlds.look
+def first_frame(run: Run, target: RecordedTarget) -> np.ndarray | None:
+    """Of what was recorded for step 0; None where nothing is there yet."""
     if target.inbox is not None and not target.brought(0):
-        return np.full((look.image_size, look.image_size, 3), 255, np.uint8)
-    return target.recording(0, look).episodes[0].observations["pixels"][0]
+        return None
+    return target.recording(0, run.worlds.look).episodes[0].observations["pixels"][0]
 
 
 def actions_table(run: Run, bounds: Bounds | None = None) -> str:
@@ -91,8 +100,9 @@ def actions_table(run: Run, bounds: Bounds | None = None) -> str:
         f"control period {period:g} s; images {run.config.image_size} pixels, {run.config.frame_stack} at a time",
         "",
     ]
+    units = action_units(run.worlds.source_domain.compile())
     takes = f"{'target takes':>24}" if bounds else ""
-    lines.append(f"{'action':<20}{'source':>24}{'target is told':>24}{takes}")
+    lines.append(f"{'action':<20}{'source':>32}{'target is told':>24}{takes}")
     for i, j in enumerate(actions.order):
         name = actions.names[i] if actions.names else str(j)
         pairs = [
@@ -100,7 +110,8 @@ def actions_table(run: Run, bounds: Bounds | None = None) -> str:
             (low[i], high[i]),
             *([(bounds[0][i], bounds[1][i])] if bounds else []),
         ]
-        lines.append(f"{name:<20}" + "".join(f"{f'{a:.4g} to {b:.4g}':>24}" for a, b in pairs))
+        told, *others = (f"{a:.4g} to {b:.4g}" for a, b in pairs)
+        lines.append(f"{name:<20}{f'{told} {units[j]}'.strip():>32}" + "".join(f"{other:>24}" for other in others))
     return "\n".join(lines)
 
 
@@ -117,11 +128,12 @@ def beyond_bounds(actions: ActionMap, low: np.ndarray, high: np.ndarray) -> list
     return found
 
 
-def sheet(source: TrialMoves, target: TrialMoves | None, shown: np.ndarray) -> np.ndarray:
-    """Source above, target below: the start, and each actuator pushed one way and the other."""
+def sheet(source: TrialMoves, target: TrialMoves | None, shown: np.ndarray | None) -> np.ndarray:
+    """Source above, target below: the start, and each actuator pushed one way and the other; white where none is."""
     above = in_a_row(source)
     below = np.full_like(above, 255) if target is None else in_a_row(target)
-    below[:, : shown.shape[1]] = shown
+    if shown is not None:
+        below[:, : shown.shape[1]] = shown
     return np.concatenate([above, below]).repeat(LARGE, 0).repeat(LARGE, 1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,9 @@ LITTLE = 3.0
 FASTER = 4.0
 """Factor by which things may move faster or slower than in the source before it is said."""
 
+SLOWER, QUICKER = 1.25, 0.8
+"""Factors of the control period beyond which a step that takes so long is another one."""
+
 
 @dataclass(frozen=True)
 class TrialMoves:
@@ -46,6 +50,7 @@ class TrialMoves:
             (nu, CELLS, CELLS, 2).
         steps: control steps that it took.
         ended: control steps after which the shortest push ended its episode; None where none did.
+        took: median time of a control step, s; 0 if unknown.
     """
 
     start: np.ndarray
@@ -54,6 +59,7 @@ class TrialMoves:
     motion: np.ndarray
     steps: int
     ended: int | None = None
+    took: float = 0.0
 
 
 def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
@@ -70,6 +76,7 @@ def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
     middle, half = (space.high + space.low) / 2, (space.high - space.low) / 2
     ends, motions, taken, start = [], [], 0, np.zeros(0)
     lasted: list[int] = []
+    times: list[float] = []
     for i in range(len(middle)):
         for sign in (1.0, -1.0):
             action = middle.copy()
@@ -77,17 +84,21 @@ def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
             frames = [env.reset(seed=seed)[0]["pixels"][0, -1]]
             start = frames[0]
             for _ in range(steps):
+                begin = time.perf_counter()
                 obs, _, terminations, truncations, infos = env.step(action[None].astype(np.float32))
+                times.append(time.perf_counter() - begin)
                 taken += 1
                 frames.append(infos.get("final_obs", obs)["pixels"][0, -1])
                 if terminations[0] or truncations[0]:
                     lasted.append(len(frames) - 1)
+                    times.pop()  # a reset was in it
                     break
             ends.append(frames[-1])
             motions.append(apparent_motion(frames))
     plus, minus = np.array(ends[::2]), np.array(ends[1::2])
     motion = np.array(motions[::2]) - np.array(motions[1::2])
-    return TrialMoves(start, plus, minus, motion, taken, min(lasted, default=None))
+    took = float(np.median(times)) if times else 0.0
+    return TrialMoves(start, plus, minus, motion, taken, min(lasted, default=None), took)
 
 
 def apparent_motion(frames: Sequence[np.ndarray]) -> np.ndarray:
@@ -116,17 +127,37 @@ def in_cells(image: np.ndarray) -> list[np.ndarray]:
     return [cell for row in np.array_split(image, CELLS) for cell in np.array_split(row, CELLS, axis=1)]
 
 
-def suspicions(source: TrialMoves, target: TrialMoves | None, names: Sequence[str]) -> list[str]:
-    """What looks wrong, a sentence each."""
+def suspicions(
+    source: TrialMoves,
+    target: TrialMoves | None,
+    names: Sequence[str],
+    shown: np.ndarray | None = None,
+    frame_stack: int = 1,
+) -> list[str]:
+    """What looks wrong, a sentence each.
+
+    Args:
+        source: when its actuators were pushed.
+        target: the same; None if it was not pushed.
+        names: of the actuators.
+        shown: the target's first image, uint8 (S, S, 3), if it was not pushed but seen.
+        frame_stack: images in an observation.
+    """
     found = [
         f"{names[i]} moves nothing that the source's camera sees" for i in range(len(names)) if not visible(source, i)
     ]
-    for what, world in (("source", source), ("target", target)):
-        if world is not None and world.start.std() < SEEN:
+    starts = {"source": source.start, "target": shown if target is None else target.start}
+    for what, start in starts.items():
+        if start is not None and of_one_colour(start):
             found.append(f"the {what}'s image is nearly of one colour: is the camera where it should be?")
     if target is None:
         return found
-    if target.ended is not None and 2 * target.ended < (source.ended or PUSHED_STEPS):
+    if target.ended is not None and target.ended < frame_stack:
+        found.append(
+            f"an episode of the target ends after {target.ended} control step{'s' * (target.ended > 1)} of a push, and "
+            f"an observation has {frame_stack} images (frame_stack)"
+        )
+    elif target.ended is not None and 2 * target.ended < (source.ended or PUSHED_STEPS):
         found.append(
             f"an episode of the target ends after {target.ended} control step{'s' * (target.ended > 1)} of a push, the "
             "source's later: do they begin and end alike?"
@@ -135,6 +166,26 @@ def suspicions(source: TrialMoves, target: TrialMoves | None, names: Sequence[st
     found += [f"{names[i]} moves nothing that the target's camera sees" for i in both if not visible(target, i)]
     both = [i for i in both if visible(target, i)]
     return found + crossed(source.motion, target.motion, both, names)
+
+
+def of_one_colour(image: np.ndarray) -> bool:
+    """Whether hardly anything can be seen in an image, uint8 (S, S, 3)."""
+    return bool(image.std((0, 1)).max() < SEEN)
+
+
+def told_pace(took: float, period: float) -> tuple[str, bool]:
+    """How long a control step took, in a sentence, and whether it is too long.
+
+    Args:
+        took: s.
+        period: that it should take, s.
+    """
+    said = f"a control step of the target took {took:.3g} s, where the source's is {period:g} s long"
+    if took > SLOWER * period:
+        return f"{said}: a robot acts longer than in the source (a simulation that is slow does no harm)", True
+    if took < QUICKER * period:
+        return f"{said}: a robot's step must wait for the period to be over (a simulation's need not)", False
+    return said, False
 
 
 def visible(world: TrialMoves, i: int) -> bool:
@@ -152,6 +203,12 @@ def crossed(a: np.ndarray, b: np.ndarray, both: Sequence[int], names: Sequence[s
     alike = lambda i, j: cosine(a[i], b[j])  # noqa: E731
     reversed_ = [i for i in both if alike(i, i) < UNLIKE]
     explaining = [how for how, there in turned.items() if all(cosine(a[i], there[i]) > ALIKE for i in both)]
+    if len(both) == 1 and explaining and alike(both[0], both[0]) < ALIKE:
+        way = "the other way" if reversed_ else "in another direction than in the source"
+        return [
+            f"{names[both[0]]} moves {way}: see the sign of target.actions.scale; or the target's image is "
+            f"{' or '.join(explaining)}. One actuator that is seen does not tell which: look at the picture"
+        ]
     if len(both) > 1 and explaining and any(alike(i, i) < ALIKE for i in both):
         alone = [names[i] for i in reversed_] if len(reversed_) < len(both) else []
         instead = f"; or {' and '.join(alone)} moves the other way (target.actions.scale: -1 there)" if alone else ""

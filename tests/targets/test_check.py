@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -9,8 +10,10 @@ from test_targets import LAB, written
 
 from cli.check import beyond_bounds
 from cli.main import main
+from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.envs import ActionMap
-from idapt_pl.targets.trial_moves import CELLS, TrialMoves, apparent_motion, crossed, suspicions
+from idapt_pl.targets.action_units import action_units
+from idapt_pl.targets.trial_moves import CELLS, TrialMoves, apparent_motion, crossed, suspicions, told_pace
 
 
 def blob(x, y, side=32, colour=(200, 80, 40), back=(20, 60, 20)):
@@ -75,6 +78,14 @@ def test_a_target_whose_episodes_end_much_sooner_is_told(source, target, said):
     assert any("control step" in sentence for sentence in suspicions(a, b, NAMES)) == said
 
 
+@pytest.mark.parametrize(("target", "said"), [(1, True), (3, True), (4, False), (8, False), (None, False)])
+def test_episodes_shorter_than_a_frame_stack_are_told(target, said):
+    a, b = (replace(moves(SOURCE), ended=ended) for ended in (target, target))  # the source's are as short
+    found = suspicions(a, b, NAMES, frame_stack=4)
+    assert found == [] or (f"ends after {target} control step" in found[0] and "has 4 images" in found[0])
+    assert bool(found) == said
+
+
 def moves(motion, seen=(True, True), start=None):
     shown = np.array([blob(8, 16) if s else blob(16, 16) for s in seen])
     other = np.array([blob(24, 16) if s else blob(16, 16) for s in seen])
@@ -101,6 +112,103 @@ def test_what_cannot_be_seen_is_said():
     assert suspicions(still, None, NAMES) == ["elbow moves nothing that the source's camera sees"]
     assert suspicions(moves(SOURCE), still, NAMES) == ["elbow moves nothing that the target's camera sees"]
     assert "nearly of one colour" in suspicions(moves(SOURCE), moves(SOURCE, start=flat), NAMES)[0]
+    red = np.full((32, 32, 3), (250, 10, 10), np.uint8)
+    (seen,) = suspicions(moves(SOURCE), None, NAMES, red)
+    assert "the target's image is nearly of one colour" in seen, "though it was not moved"
+    assert suspicions(moves(SOURCE), None, NAMES, blob(4, 4)) == []
+
+
+@pytest.mark.parametrize(
+    ("turned", "said"),
+    [
+        (
+            lambda a: -a[::-1, ::-1],
+            "the other way: see the sign of target.actions.scale; or the target's image is upside",
+        ),
+        (lambda a: a[:, ::-1] * (-1, 1), "mirrored left to right. One actuator that is seen does not tell which"),
+    ],
+)
+def test_of_one_actuator_that_is_seen_both_explanations_are_given(turned, said):
+    sideways = np.zeros((CELLS, CELLS, 2))
+    sideways[1:3, :, 0] = 5.0
+    for nu in (1, 2):  # of two, one of which is not seen, likewise
+        a, b = np.array([sideways] * nu), np.array([turned(sideways)] * nu)
+        (found,) = crossed(a, b, (0,), NAMES)
+        assert found.startswith("shoulder moves ") and said in found and "scale" in found
+
+
+@pytest.mark.parametrize(
+    ("took", "said", "slow"),
+    [(0.041, "took 0.041 s", False), (0.002, "must wait for the period", False), (0.06, "acts longer", True)],
+)
+def test_how_long_a_step_took_is_told(took, said, slow):
+    told, too_long = told_pace(took, 0.04)
+    assert said in told and too_long == slow and ("must wait" in told) == (took < 0.01)
+
+
+UNITS = """
+<mujoco><worldbody><body><joint name="h" type="hinge"/><geom size="1"/>
+  <body><joint name="s" type="slide"/><geom size="1"/>
+  <body pos="0 0 3"><joint name="b" type="ball"/><geom size="1"/></body>
+  </body></body></worldbody>
+  <actuator>
+    <motor joint="h"/><motor joint="s" gear="100"/><motor joint="s" gear="0"/><position joint="h" kp="20" kv="3"/>
+    <position joint="s" kp="7" gear="2"/><velocity joint="h" kv="4"/><intvelocity joint="s" kp="4" actrange="-1 1"/>
+    <motor joint="b"/><cylinder joint="s"/><general joint="h" biastype="affine" gainprm="2" biasprm="0 -1 0"/>
+  </actuator></mujoco>"""
+
+
+def test_units_of_commands_are_those_of_joints_and_actuators():
+    expected = ["N·m", "× 100 N", "", "rad", "× 0.5 m", "rad/s", "m/s", "", "N", ""]
+    assert action_units(mujoco.MjModel.from_xml_string(UNITS)) == expected
+
+
+def recordings(folder, *lengths, shown=None):
+    """Trajectory files of the cart-pole's target, an episode each of so many control steps."""
+    rng, paths = np.random.default_rng(0), []
+    for i, T in enumerate(lengths):
+        pixels = rng.integers(0, 256, (T + 1, 24, 24, 3), np.uint8)
+        if shown is not None:
+            pixels[:] = shown[i]
+        episode = Episode(np.zeros((T, 1), np.float32), {"pixels": pixels})
+        write_trajectories(folder / f"{i}.h5", Trajectories((episode,), 0.04, ""))
+        paths.append(str(folder / f"{i}.h5"))
+    return paths
+
+
+SIDE = {"azimuth": 90, "elevation": 0, "distance": 2.1, "lookat": [0, 0, 0.43]}
+"""Where the cart-pole's camera stands."""
+
+
+def checked(folder, target, capsys):
+    """Exit code and what `idapt check` prints of a target of recordings, with stacks of three images."""
+    path = folder / "recorded.yaml"
+    said = {"task": "gymnasium:InvertedPendulum-v5", "image_size": 32, "frame_stack": 3, "target": target}
+    said["task_options"] = {"camera": SIDE}
+    said["schedule"] = {"grounding_steps": len(target.get("recordings", "?")) - 1}
+    path.write_text(yaml.safe_dump(said))
+    code = main(["check", "--config", str(path), "--out", str(folder / "seen.png")])
+    return code, capsys.readouterr().out
+
+
+def test_all_recordings_are_looked_at(tmp_path, capsys):
+    assert checked(tmp_path, {"recordings": recordings(tmp_path, 20, 20)}, capsys)[0] == 0
+    paths = recordings(tmp_path, 3, 2, 20, 20, shown=[*np.random.default_rng(1).integers(0, 256, (3, 24, 24, 3)), 0])
+    code, said = checked(tmp_path, {"recordings": paths}, capsys)
+    assert code == 1 and f"{paths[0]}: the images of 1 of 1 episodes never change" in said
+    assert f"{paths[1]}: 1 of 1 episodes have fewer than 4 images, the shortest 3; an observation has 3" in said
+    assert f"{paths[0]}: 1 of 1 episodes have fewer" not in said
+    assert f"{paths[3]}: 21 of 21 images are nearly of one colour" in said and f"{paths[3]}: the images" not in said
+
+
+def test_what_was_brought_by_hand_is_looked_at(tmp_path, capsys):
+    target = {"by_hand": str(tmp_path / "inbox")}
+    assert checked(tmp_path, target, capsys)[0] == 0, "nothing is there yet"
+    for k in (0, 1):
+        (tmp_path / f"inbox/step_0{k}").mkdir(parents=True)
+        recordings(tmp_path / f"inbox/step_0{k}", 20, shown=None if k == 0 else [9])
+    code, said = checked(tmp_path, target, capsys)
+    assert code == 1 and said.count("of one colour") == 1 and "step_01: 21 of 21 images" in said
 
 
 def test_actions_that_the_target_cannot_be_told_or_that_hardly_move_it_are_named():
@@ -119,16 +227,15 @@ def test_a_config_whose_target_moves_the_other_way(tmp_path, monkeypatch, capsys
     def config(scale):
         path = written(tmp_path, env="my_lab:CartPole", actions={"scale": scale})
         said = yaml.safe_load(path.read_text()) | {"task": "gymnasium:InvertedPendulum-v5"}
-        said["task_options"] = {"camera": {"azimuth": 90, "elevation": 0, "distance": 2.1, "lookat": [0, 0, 0.43]}}
+        said["task_options"] = {"camera": SIDE}
         path.write_text(yaml.safe_dump(said))
         return path
 
     command = ["check", "--config", str(config(1)), "--out", str(tmp_path / "seen.png"), "--move-target"]
     assert main(command) == 0
     said = capsys.readouterr().out
-    assert (
-        "slide" in said and said.count("-3 to 3") == 3 and "target takes" in said and "control steps for this" in said
-    )
+    assert "slide" in said and "-3 to 3 × 100 N" in said and "control steps for this" in said
+    assert "a control step of the target took " in said and "where the source's is 0.04 s long" in said
     assert (tmp_path / "seen.png").stat().st_size > 500 and not (tmp_path / "runs").exists()
 
     config(2)
