@@ -58,11 +58,7 @@ def main(args: list[str]) -> int:
     if target is not None:
         print(f"\nthe target took {target.steps} control steps for this; they are in no run's ledger")
         if target.took and isinstance(worlds.target, RobotTarget) and not worlds.target.simulated:
-            said, slow = told_pace(target.took, worlds.period)
-            if slow:
-                found.append(said)
-            else:
-                print(said)
+            print(told_pace(target.took, worlds.period))
     for sentence in [*(beyond_bounds(worlds.actions, *bounds) if bounds else ()), *found]:
         print(f"- {sentence}")
     print(f"\n{'look at' if not found else 'something looks wrong; look at'} {o.out}: {sheet_legend(target)}")

@@ -16,6 +16,9 @@ from idapt_pl.envs import ImageEnv
 SEEN, MOVING = 6.0, 0.15
 """Grey levels by which a pixel must change to be seen; share of the largest change, once blurred, for a moving one."""
 
+CAMERA_NOISE = 1.75
+"""Grey levels of one colour, once blurred, by which a camera's noise changes pixels of a still image."""
+
 CELLS = 4
 """Rows and columns of the parts of an image in which motions are compared."""
 
@@ -104,15 +107,16 @@ def try_moves(env: ImageEnv, share: float, seed: int = 0) -> TrialMoves:
 def apparent_motion(frames: Sequence[np.ndarray]) -> np.ndarray:
     """How far what moves has moved in each cell of a sequence of images, right and down, pixels (CELLS, CELLS, 2).
 
-    From frame to frame, by least squares over the pixels that change (Lucas and Kanade 1981).
+    From frame to frame, by least squares over pixels that change, in each colour (Lucas and Kanade 1981): what moves
+    may be as bright as what is behind it.
     """
     total = np.zeros((CELLS, CELLS, 2))
     blur = frames[0].shape[0] / SHARP  # thin parts may move by more than they are wide
-    grey = [gaussian_filter(frame.astype(float).mean(-1), blur) for frame in frames]
-    for before, after in itertools.pairwise(grey):
+    soft = [gaussian_filter(frame.astype(float), (blur, blur, 0)) for frame in frames]
+    for before, after in itertools.pairwise(soft):
         change = after - before
-        least = max(MOVING * np.abs(change).max(), 1.0)
-        down, right = np.gradient((before + after) / 2)
+        least = max(MOVING * np.abs(change).max(), CAMERA_NOISE)
+        down, right = np.gradient((before + after) / 2, axis=(0, 1))
         parts = zip(*(in_cells(part) for part in (right, down, change)), strict=True)
         for cell, (r, d, c) in zip(np.ndindex(CELLS, CELLS), parts, strict=True):
             moving = np.abs(c) > least
@@ -123,7 +127,7 @@ def apparent_motion(frames: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def in_cells(image: np.ndarray) -> list[np.ndarray]:
-    """The cells of an image (H, W), row by row."""
+    """The cells of an image (H, W, 3), row by row."""
     return [cell for row in np.array_split(image, CELLS) for cell in np.array_split(row, CELLS, axis=1)]
 
 
@@ -173,19 +177,14 @@ def of_one_colour(image: np.ndarray) -> bool:
     return bool(image.std((0, 1)).max() < SEEN)
 
 
-def told_pace(took: float, period: float) -> tuple[str, bool]:
-    """How long a control step took, in a sentence, and whether it is too long.
-
-    Args:
-        took: s.
-        period: that it should take, s.
-    """
+def told_pace(took: float, period: float) -> str:
+    """How long a control step took, and what that means if it is not the control period; both in s."""
     said = f"a control step of the target took {took:.3g} s, where the source's is {period:g} s long"
     if took > SLOWER * period:
-        return f"{said}: a robot acts longer than in the source (a simulation that is slow does no harm)", True
+        return f"{said}: if it is a robot it acts longer than in the source (a simulation may be slow)"
     if took < QUICKER * period:
-        return f"{said}: a robot's step must wait for the period to be over (a simulation's need not)", False
-    return said, False
+        return f"{said}: if it is a robot its step must wait until the period is over (a simulation need not)"
+    return said
 
 
 def visible(world: TrialMoves, i: int) -> bool:
