@@ -62,6 +62,7 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
     Raises:
         RecordingError: naming the file, column and row, what was expected and what came.
     """
+    told = tuple(note for r in recordings for note in r.notes)
     episodes = [part for r in recordings for part in (r.split(mapping.episodes) if mapping.episodes else [r])]
     episodes, held = with_held_channels(episodes, mapping)
     repaired: tuple[str, ...] = ()
@@ -71,7 +72,9 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
     episodes, times, cut = _cut_at_pauses(episodes, times)
     timing = _timing(times, episodes)
     made = tuple(_episode(e, chosen(mapping, e), t, timing) for e, t in zip(episodes, times, strict=True))
-    return Imported(Trajectories(made, timing.dt, source), timing, held + repaired + cut + _notes(mapping, timing))
+    return Imported(
+        Trajectories(made, timing.dt, source), timing, told + held + repaired + cut + _notes(mapping, timing)
+    )
 
 
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:

@@ -23,12 +23,14 @@ class Recorded:
             them, are uint8 (rows, S, S, 3). Formats that keep actions apart from observations have columns that are
             one row shorter.
         row_word, row_numbers: how a person finds row k: ``f"{row_word} {row_numbers[k]}"``; None counts from 0.
+        notes: what its reader has to tell of it.
     """
 
     source: str
     columns: dict[str, np.ndarray] = field(repr=False)
     row_word: str = "row"
     row_numbers: np.ndarray | None = field(default=None, repr=False)
+    notes: tuple[str, ...] = ()
 
     def row(self, k: int) -> str:
         """Where row k is, in the recording's own count."""

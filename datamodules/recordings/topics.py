@@ -1,7 +1,8 @@
 """Topics with their own clocks, put on the rows of one of them: what all formats with topics share.
 
 A row is a message of the clock topic. From every other topic it has the latest message at or before that
-time, as a held command has; rows before the first message of some topic that the map names are dropped.
+time, as a held command has; rows before the first message of some topic that the map names are dropped, and those
+after a stream that stopped.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datamodules.recordings.clocks import end_of_rows
 from datamodules.recordings.errors import RecordingError, choices, listing
 from datamodules.recordings.mapping import ImageColumn, Mapping
 from datamodules.recordings.recorded import Recorded
@@ -65,7 +67,8 @@ def read_log(path: Path, names: Iterable[str], mapping: Mapping, read: ReadTopic
     clock = mapping.clock or (alone.column if alone else wanted[0])  # the first column's
     if clock not in topics:
         raise RecordingError(f"{path}: the map's clock: no topic {clock!r}; " + choices(clock, topics, "topics are"))
-    return [Recorded(str(path), _on_rows_of(clock, topics))]
+    end, notes = end_of_rows(path, clock, {name: topic.times for name, topic in topics.items()})
+    return [Recorded(str(path), _on_rows_of(clock, topics, end), notes=notes)]
 
 
 def topics_in(columns: Iterable[str]) -> list[str]:
@@ -98,11 +101,14 @@ def topic_of(column: str, topics: Iterable[str]) -> str | None:
     return max((t for t in topics if column.startswith(f"{t}.")), key=len, default=None)
 
 
-def _on_rows_of(clock: str, topics: dict[str, Topic]) -> dict[str, np.ndarray]:
+def _on_rows_of(clock: str, topics: dict[str, Topic], end: int | None) -> dict[str, np.ndarray]:
+    """Columns on the clock's messages, up to a time in ns."""
     at = topics[clock].times
     latest = {name: np.searchsorted(topic.times, at, side="right") - 1 for name, topic in topics.items()}
     latest[clock] = np.arange(len(at))
     keep = np.all([k >= 0 for k in latest.values()], axis=0)
+    if end is not None:
+        keep &= at <= end
     return {
         name if column == IMAGE else f"{name}.{column}": values[latest[name][keep]] if len(values) else values
         for name, topic in topics.items()
