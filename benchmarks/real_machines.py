@@ -9,16 +9,18 @@
     python benchmarks/real_machines.py CLONES [--sets pendulum] [--report DIR]
 
 Files are imported with the map that `idapt import --draft-map` writes, unread, where names in the log are those of the
-model (else with the map that stands here), and diagnosed with all defaults but for which episodes are held out. Beside
-it, on the same windows: a plain fit, as by hand (damping, dry friction and rotor inertia of every joint at once),
-CMA-ES over what PACE fits, and mujoco.sysid on all single numbers (by forecasts). Errors are of held-out episodes:
-root mean squares of whitened forecasts, or of forces where noise is no yardstick. Writes results/real_machines.csv.
-Nothing of the recordings is committed.
+model (else with the map that stands here), and diagnosed as `idapt diagnose` does without options: deployment faults
+first, then effects and laws, then once more without the stretches in which the model cannot hold. Beside it, on the
+same windows: a plain fit, as by hand (damping, dry friction and rotor inertia of every joint at once), CMA-ES over what
+PACE fits, and mujoco.sysid on all single numbers (by forecasts). Errors are of held-out episodes: root mean squares of
+whitened forecasts, or of forces where noise is no yardstick. Writes results/real_machines.csv. Nothing of the
+recordings is committed.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -31,24 +33,21 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
-import mujoco
 import numpy as np
+from mujoco import sysid
 from scipy.signal import butter, filtfilt
 from tables import read_rows, write_rows
 
 from benchmarks.other_fits import by_hand, pace, sysid_fit
-from cli.diagnose_recordings import more_than_one
+from cli.diagnose import command_line
+from cli.diagnose_recordings import diagnose_recordings
 from cli.main import main as idapt
 from cli.provenance import git_commit
-from datamodules import read_trajectories
-from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.report.diagnosis_files import write_diagnosis
-from idapt_pl.robot_files.actuators import parse_actuators
-from idapt_pl.robot_files.read import read_robot
+from idapt_pl.diagnosis.search import Diagnosis
 
 FIELDS = (
     "set", "episodes", "rows", "joints", "held_out", "judged_by", "before", "plain_fit", "pace", "sysid", "after",
-    "verdict", "found", "known", "seconds", "threads", "source", "commit",
+    "verdict", "found", "faults", "left_out", "known", "seconds", "threads", "licence", "source", "commit",
 )  # fmt: skip
 
 
@@ -62,7 +61,7 @@ class Recorded:
         model: MJCF or URDF, below the folder of clones or the clone, or ``clone:path`` of another one.
         actuators: as of ``idapt diagnose --actuators``, for a model without.
         known: what is known about the truth.
-        hold_out: numbers of the episodes to judge on; None for the default.
+        licence: of the recordings.
         map: a map, where the log has other names than the model; empty: a draft.
         prepare: makes of the files, (and of the folder for it), a table that can be imported.
     """
@@ -72,7 +71,7 @@ class Recorded:
     model: str
     actuators: str | None
     known: str
-    hold_out: tuple[int, ...] | None = None
+    licence: str
     map: str = ""
     prepare: Callable[[list[Path], Path], Path] | None = None
 
@@ -123,29 +122,44 @@ SETS = {
             "pd/1nm_torque_limited_swingup_failure")),
         "data/urdf/dfki_simple_pendulum.urdf", "motor",
         "inertia and weight by regression of two recordings: 1.3 and 1.2 times the URDF's; friction 0.18 to 0.25 N m",
+        "BSD-3-Clause",
     ),
     "pendulum_bang_bang": Recorded(
         "simple_pendulum", (PENDULUM.format("energy_shaping"),), "data/urdf/dfki_simple_pendulum.urdf", "motor",
         "torque goes with the direction of motion throughout: friction, dead zone and mass cannot be told apart",
+        "BSD-3-Clause",
+    ),
+    "pendulum_1kg": Recorded(
+        "simple_pendulum", (PENDULUM.format("energy_shaping").replace(".csv", "_1kg.csv"),),
+        "data/urdf/dfki_simple_pendulum.urdf", "motor",
+        "a weight of 1 kg, where the URDF's link has 0.675 kg in all; torque goes with the direction of motion",
+        "BSD-3-Clause",
     ),
     "ricmonk": Recorded(
         "ricmonk", tuple(f"results/singleBrachiation_tvlqr/TVLQR_{m}/measured.csv" for m in ("BF", "FB", "ZB", "ZF")),
         "data/simulation_models/finalRicMonkCurrent.urdf", "motor",
-        "it lets go and catches a bar; motors with gears 6:1", map=RICMONK_MAP,
+        "it lets go and catches a bar; motors with gears 6:1", "BSD-3-Clause", map=RICMONK_MAP,
     ),
+    **{f"ricmonk_{grams}g": Recorded(
+        "ricmonk", (f"results/multipleBrachiation_tvlqr/TVLQR_3xForward_{grams}gm_{how}Load/measured.csv",),
+        "data/simulation_models/finalRicMonkCurrent.urdf", "motor",
+        f"{how} load of {grams} g; it lets go and catches bars; motors with gears 6:1", "BSD-3-Clause", map=RICMONK_MAP,
+    ) for grams, how in ((170, "asymmetric"), (200, "symmetric"))},
     "ur10": Recorded(
         "inverse_dynamics_solver", ("ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3",),
-        "figaroh_examples:examples/ur10/urdf/ur10_robot.urdf", "motor", "",
+        "figaroh_examples:examples/ur10/urdf/ur10_robot.urdf", "motor", "", "BSD-3-Clause",
     ),
     "tx40": Recorded(
         "figaroh_examples", tuple(f"examples/staubli_TX40/data/{x}.csv" for x in ("pos_read_data", "curr_data")),
         "examples/staubli_TX40/urdf/tx40_mdh_modified.urdf", "motor",
         "published: damping 8.05 5.53 1.97 1.11 1.86 0.65, friction 7.14 8.26 6.34 2.48 3.03 0.28, rotor inertia 0.362 "
-        "0.362 0.099 0.031 0.047 0.011; joints 5 and 6 are coupled", map=TX40_MAP, prepare=tx40_table,
+        "0.362 0.099 0.031 0.047 0.011; joints 5 and 6 are coupled",
+        "Apache-2.0 (figaroh-plus, which it names)",
+        map=TX40_MAP, prepare=tx40_table,
     ),
     "panda": Recorded(
         "inverse_dynamics_solver", ("franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3",),
-        "robosuite/robosuite/models/assets/robots/panda/robot.xml", None, "",
+        "robosuite/robosuite/models/assets/robots/panda/robot.xml", None, "", "BSD-3-Clause",
     ),
 }  # fmt: skip
 
@@ -182,13 +196,11 @@ def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
             ["import", *known, "--map", str(map_file), *map(str, files), "--out", str(recorded), "--repair"]
         ):
             raise SystemExit(f"{name}: its files were not read")
-        robot = read_robot(model, parse_actuators(which.actuators) if which.actuators else None)
-        data = more_than_one(read_trajectories(recorded))
+        report = report_to / name if report_to is not None else Path(folder, "diagnosis")
         started = time.perf_counter()
-        out = diagnose(robot.spec, data, hold_out=which.hold_out, threads=threads)
+        out = as_a_user(["--threads", str(threads), *known, "--data", str(recorded), "--out", str(report)])
         seconds = time.perf_counter() - started
-    if report_to is not None:
-        write_diagnosis(out, report_to / name, model.name, name)
+        told = json.loads((report / "report.json").read_text())
     error = out.report["error"]
     found = [
         f"{e['effect']}({e['target']}) " + " ".join(f"{k}={p['estimate']:.4g}" for k, p in e["parameters"].items())
@@ -197,21 +209,33 @@ def run(name: str, clones: Path, threads: int, report_to: Path | None) -> dict:
     commit = ["git", "-C", clones / which.clone, "log", "-1", "--format=%h"]
     source = subprocess.run(commit, check=True, capture_output=True, text=True).stdout.strip()
     return {
-        "set": name, "episodes": len(data), "rows": data.total_steps, "joints": out.sim.model.nv,
+        "set": name, "episodes": len(out.sim.data), "rows": sum(len(r.actions) for r in out.sim.data),
+        "joints": out.sim.model.nv,
         "held_out": " ".join(map(str, error["held_out_episodes"])),
         "judged_by": "forces" if out.by_forces else "forecasts", "before": error["before"],
         "plain_fit": round(by_hand(out.context, out.state), 4), "pace": round(pace(out.context, out.state), 4),
-        "sysid": by_sysid(out, robot.spec), "after": error["after"], "verdict": out.report["verdict"],
-        "found": " + ".join(found), "known": which.known, "seconds": round(seconds, 1), "threads": threads,
-        "source": source, "commit": git_commit(),
+        "sysid": by_sysid(out), "after": error["after"], "verdict": out.report["verdict"],
+        "found": " + ".join(found),
+        "faults": " + ".join(
+            f"{f['fault']}({' '.join(f['targets'])})={f['estimate']}" for f in told["deployment_faults"]["faults"]
+        ),
+        "left_out": told.get("left_out", {}).get("share", 0), "known": which.known, "seconds": round(seconds, 1),
+        "threads": threads, "licence": which.licence, "source": source, "commit": git_commit(),
     }  # fmt: skip
 
 
-def by_sysid(out: Diagnosis, spec: mujoco.MjSpec) -> float | str:
+def as_a_user(options: list[str]) -> Diagnosis:
+    """What ``idapt diagnose`` does with these options; it writes its report."""
+    o = command_line().parse_args(options)
+    o.mending = "--fix"
+    return diagnose_recordings(o)
+
+
+def by_sysid(out: Diagnosis) -> float | str:
     """Held-out error after mujoco.sysid; in words why there is none."""
     try:
         windows = out.state.windows.sensitivity.fit  # forecasts, where models are judged by forces too
-        return round(sysid_fit(out.context, out.state, windows, spec, "mujoco", 100).after, 4)
+        return round(sysid_fit(out.context, out.state, windows, out.sim.spec.copy(), "mujoco", 100).after, 4)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return f"failed: {' '.join(str(error).split())[:80]}"
 
@@ -225,6 +249,8 @@ def main() -> None:
     p.add_argument("--report", type=Path, help="write each set's report below this folder")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "real_machines.csv")
     o = p.parse_args()
+    if not hasattr(sysid, "ParameterDict"):
+        raise SystemExit('mujoco.sysid is not whole: pip install "idapt[benchmarks]"')
     rows = {r["set"]: r for r in read_rows(o.out)}
     for name in o.sets:
         if not (o.clones / SETS[name].clone).is_dir():
