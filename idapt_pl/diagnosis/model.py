@@ -14,14 +14,20 @@ from idapt_pl.effects.compile_time import write_out_masses
 def read_model(path: Path) -> mujoco.MjSpec:
     """A model as something that effects can edit; what has no name gets one (:func:`name_elements`).
 
+    Where ``fusestatic`` makes bodies one with what they are welded to, they are one from the start: effects act on what
+    is simulated.
+
     Raises:
         ValueError: naming the file and what MuJoCo says of it.
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such file; expected the model (MJCF)")
     try:
-        spec = name_elements(mujoco.MjSpec.from_file(str(path)))
-        write_out_masses(spec)
+        spec = mujoco.MjSpec.from_file(str(path))
+        if spec.compiler.fusestatic:
+            spec.compile()  # after which the spec has the fused bodies, as compiled
+            spec.compiler.fusestatic = False
+        write_out_masses(name_elements(spec))
     except ValueError as error:
         raise ValueError(f"{path}: MuJoCo cannot read the model: {' '.join(str(error).split())}") from None
     if not len(spec.joints):

@@ -96,8 +96,8 @@ class ExternalForce(ForceEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        """On the root of each mechanism."""
+        """On the root of each mechanism, which may stand on a base that is welded to the world."""
         usual = float(np.median(typical.inertia)) * float(np.median(typical.speed)) / typical.horizon
         scale = (usual + 0.05 * float(model.body_mass.sum()),) * 3
-        roots = [name for b, name in moved_bodies(model) if model.body_parentid[b] == 0]
+        roots = [name for b, name in moved_bodies(model) if model.body_weldid[model.body_parentid[b]] == 0]
         return [Candidate(cls, name, ("x", "y", "z"), (0.0,) * 3, scale) for name in roots]
