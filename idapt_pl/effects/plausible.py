@@ -65,6 +65,18 @@ class Machine:
         own = [i for i, name in enumerate(names) if c.target in ("*", name)]
         return 2 * float(self.typical.command[own].max(initial=0.0)) or np.inf
 
+    def force(self, c: Candidate) -> float:
+        """Usual force of an actuator in the nominal model."""
+        own = [i for i in range(self.model.nu) if c.target in ("*", self.model.actuator(i).name)]
+        return float(self.typical.force[own].max(initial=0.0)) or np.inf
+
+    def link(self) -> float:
+        """The longest way from a joint to the next, or from the last one to where its body ends, m."""
+        moved = [b for b, _ in moved_bodies(self.model)]
+        inner = [b for b in moved if self.model.body_weldid[self.model.body_parentid[b]] != 0]
+        steps = np.linalg.norm(self.model.body_pos[inner], axis=1) if inner else np.zeros(0)
+        return max(float(steps.max(initial=0.0)), *(self.reach(b) for b in moved))
+
     def inertia(self, c: Candidate) -> float:
         """The largest inertia of the mechanism about a joint of the same kind, kg·m² or kg."""
         turns = self.model.jnt_type[self.model.dof_jntid] != mujoco.mjtJoint.mjJNT_SLIDE
@@ -73,7 +85,10 @@ class Machine:
 
     def length(self, c: Candidate) -> float:
         """How far a body reaches from its frame, m."""
-        b = self.model.body(c.target).id
+        return self.reach(self.model.body(c.target).id)
+
+    def reach(self, b: int) -> float:
+        """The same by the body's number."""
         gyration = np.sqrt(self.model.body_inertia[b].max() / max(self.model.body_mass[b], 1e-9))
         return float(np.linalg.norm(self.model.body_ipos[b]) + 2 * gyration)
 
@@ -91,6 +106,9 @@ MEASURES: dict[str, Measure] = {
     "of the largest command": lambda m, c, k: m.command(c),
     "of the largest inertia": lambda m, c, k: m.inertia(c),
     "of the body's reach": lambda m, c, k: m.length(c),
+    "of the longest link": lambda m, c, k: m.link(),
+    "of its usual speed": lambda m, c, k: m.speed(c),
+    "of the usual force": lambda m, c, k: m.force(c),
 }
 """What the ends of ranges are multiples of, by words that follow a number."""
 
@@ -98,6 +116,7 @@ FRICTION = "a joint that moves is not held by its own friction"
 COUNTERPARTS = "parts are drawn and weighed better than that: more is another part, or another model"
 WEIGHED = Plausible(0.3, 3.2, "of the model's", COUNTERPARTS)
 CENTRE = Plausible(-1.0, 1.0, "of the body's reach", "a centre of mass lies within its body")
+HELD = Plausible(-1.5, 1.5, "of the longest link", "a load is on its link, or in a tool that is no longer than a link")
 DATASHEET = "data sheets, batteries and windings are off by tens of per cents, not by multiples"
 MOTOR = Plausible(0.3, 3.2, "of the model's", DATASHEET)
 TILT = Plausible(-0.26, 0.26, "", "machines are set up by eye and stand within 15° of what was meant")
@@ -109,6 +128,9 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("joint_frictionloss", "frictionloss"): Plausible(0.0, 1.5, "of what drives it", FRICTION),
     ("joint_stribeck", "coulomb"): Plausible(0.0, 1.5, "of what drives it", FRICTION),
     ("joint_stribeck", "static"): Plausible(0.0, 2.0, "of what drives it", FRICTION),
+    ("joint_stribeck", "speed"): Plausible(
+        0.0, 3.0, "of its usual speed", "friction that still falls where the joint is fastest is no film of oil"
+    ),
     ("joint_drag", "drag"): Plausible(0.0, 3.0, "of what drives it, over its squared speed", FRICTION),
     ("joint_armature", "armature"): Plausible(
         0.0, 10.0, "of the largest inertia", "gears are chosen so that a rotor feels about as heavy as its load"
@@ -120,11 +142,14 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("joint_backlash", "width"): Plausible(0.0, 0.2, "", "worn gears of toys have play of a few degrees"),
     ("joint_cogging", "sine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),
     ("joint_cogging", "cosine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),
+    ("joint_cogging", "periods"): Plausible(1.0, 100.0, "", "motors have some tens of poles and slots"),
     ("body_mass", "mass"): WEIGHED,
     ("body_inertia", "mass"): WEIGHED,
     ("body_inertia", "rotation"): Plausible(0.2, 5.0, "of the model's", COUNTERPARTS),
+    **{("body_inertia", how): Plausible(-1.6, 1.6, "", COUNTERPARTS) for how in ("xx", "yy", "xy", "xz", "yz")},
     **{(effect, axis): CENTRE for effect in ("body_com", "body_inertia") for axis in "xyz"},
     ("payload", "mass"): Plausible(0.0, 1.0, "of the moved mass", "machines carry no more than they weigh"),
+    **{("payload", axis): HELD for axis in "xyz"},
     ("actuator_gain", "gain"): MOTOR,
     ("motor_constant", "factor"): MOTOR,
     ("motor_resistance", "factor"): MOTOR,
@@ -141,8 +166,16 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_saturation", "limit"): Plausible(
         0.1, np.inf, "of the largest command", "a motor that does a tenth of what it is told is broken"
     ),
+    ("actuator_saturation", "force"): Plausible(
+        0.003,
+        np.inf,
+        "of the usual force",
+        "a servo can move what it drives, though models have gains thirty times off",
+    ),
+    ("actuator_rotation", "angle"): Plausible(-np.pi, np.pi, "", "a base may be bolted down any way round"),
     ("actuator_delay", "delay"): Plausible(0.0, 0.2, "", LATE),
     ("actuator_lag", "time_constant"): Plausible(0.0, 0.3, "", LATE),
+    ("actuator_lag", "dead_time"): Plausible(-0.02, 0.2, "", LATE),
     ("sensor_bias", "bias"): Plausible(-0.35, 0.35, "", "zeros are set by eye; beyond 20° it is seen at once"),
     ("sensor_gain", "gain"): Plausible(0.8, 1.25, "", "encoders are off by per cents, or by a unit"),
     ("contact_friction", "sliding"): Plausible(0.02, 2.0, "", "wet ice has 0.02, rubber on dry concrete 1 to 1.5"),
@@ -154,7 +187,7 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("gravity_direction", "tilt_y"): TILT,
     **{("external_force", axis): PUSHED for axis in "xyz"},
 }
-"""Ranges by effect and parameter. A parameter that is not here can be anything."""
+"""Ranges by effect and parameter: of every effect of ours that is searched; those of others can be anything."""
 
 AIR = {
     "density": Plausible(0.0, 3.0, "", "air has 1.2 kg/m³, a little more where a shape is not a box"),

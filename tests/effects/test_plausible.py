@@ -89,5 +89,54 @@ def test_a_thick_medium_is_plausible_only_where_the_model_has_one():
     assert thick.unit == "of the model's" and thick.low * 0.9 < 0.8 < thick.high * 0.9
 
 
+ARM = """
+<mujoco>
+  <worldbody>
+    <body name="cart"><joint name="slide" type="slide" axis="1 0 0" stiffness="2"/><geom name="box" size="0.1"/>
+      <body name="arm" pos="0 0 0.5"><joint name="hinge" axis="0 1 0"/><geom name="rod" size="0.1" pos="0 0 0.2"/>
+      </body></body>
+    <geom name="floor" type="plane" size="1 1 1"/>
+  </worldbody>
+  <actuator><motor name="push" joint="slide"/><position name="hold" joint="hinge" kp="30" kv="1"/>
+    <dcmotor name="turn" joint="hinge" motorconst="0.05" resistance="2" input="voltage"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture
+def arm():
+    """With every kind of element, links of half a metre, 6 N·m of usual force."""
+    two, three = np.full(2, 2.0), np.full(3, 6.0)
+    typical = TypicalSizes(0.02, two, two, two, 3 * two, three, three, 0.2, effort=5 * two)
+    return Machine(mujoco.MjModel.from_xml_string(ARM), typical)
+
+
+@pytest.mark.parametrize("kind", [e for e in EFFECTS.values() if e.searched and e.__module__.startswith("idapt_pl.")])
+def test_every_parameter_that_is_searched_has_a_range(arm, kind):
+    found = kind.candidates(arm.model, arm.typical)
+    assert found
+    for c in found:
+        for name, nominal in zip(c.names, c.nominal, strict=True):
+            entry = plausible_range(kind.name, name, nominal)
+            assert entry is not None, f"{kind.name}: {name}"
+            assert np.isfinite(MEASURES[entry.unit](arm, c, 0)), f"{kind.name}: {name}: no size to compare with"
+
+
+@pytest.mark.parametrize(
+    ("effect", "target", "parameter", "expected"),
+    [
+        ("payload", "arm", "x", (-0.75, 0.75)),
+        ("joint_stribeck", "hinge", "speed", (0.04, 6.0)),
+        ("joint_cogging", "hinge", "periods", (np.pi / 2, 25 * np.pi)),
+        ("body_inertia", "arm", "xy", (-1.6, 1.6)),
+        ("actuator_saturation", "hold", "force", (0.018, 1e6)),
+        ("actuator_rotation", "push hold", "angle", (-np.pi, np.pi)),
+    ],
+)
+def test_places_speeds_and_forces_are_measured_by_the_machine(arm, effect, target, parameter, expected):
+    (c,) = [c for c in candidates(arm, effect).values() if c.target == target and parameter in c.names]
+    low, high = (b[c.names.index(parameter)] for b in c.bounds())
+    assert (low, high) == pytest.approx(expected)
+
+
 def test_effects_that_are_not_in_the_table_may_be_anything():
     assert plausible_range("somebody_elses", "strength", 0.0) is None
