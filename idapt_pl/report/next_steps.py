@@ -24,6 +24,7 @@ CONFIRM = {
     "joint_cogging": "Turn slowly through whole turns and look for a ripple that repeats with the angle.",
     "actuator_gain": "Hold a known weight on a lever and compare torque and command; check supply and current limit.",
     "motor_constant": "Measure voltage over speed with the motor turned by hand or another motor.",
+    "motor_resistance": "Measure between two terminals of the motor, cold and warm; add driver, cables and supply.",
     "actuator_kp": "Read the gains from the drive; push the held joint with a known force and note how far it gives.",
     "actuator_kv": "Read the gains from the drive; give steps of several sizes.",
     "actuator_bias": "Send zero and watch; calibrate the zero of drive and encoder.",
@@ -40,7 +41,18 @@ CONFIRM = {
     "fluid_drag": "Record fast motion with the largest surfaces ahead, both ways.",
     "gravity_direction": "Put a level on the base; record with the base turned by a known angle.",
     "external_force": "Look for cables, fans, springs or a hand; record with the arm turned the other way.",
+    "learned_force": "Vary what the formula depends on, one at a time, and hold the rest: does the force follow it?",
+    "residual_network": "It says where, not what: record that joint alone, at several speeds, loads and temperatures.",
     "numerics": "Nothing to measure: take over time step and integrator, or a still finer step.",
+    "camera_pose": "Measure where the camera stands and where it looks.",
+    "camera_frame": "Show a chessboard and calibrate the lens.",
+    "light": "Photograph a white sheet where the robot stands, with the lights as they are in use.",
+    "color": "Photograph the part beside a colour chart.",
+    "material": "Photograph the part under a lamp from several sides: do highlights move?",
+    "texture": "Photograph the surface from straight above, evenly lit.",
+    "scenery": "Photograph the scene without the robot, and list what stands there.",
+    "renderer": "Nothing to measure: take over the renderer's settings.",
+    "blur": "Photograph a printed edge at rest and in motion; look at focus and exposure time.",
 }
 """By effect, how to confirm it on the machine."""
 
