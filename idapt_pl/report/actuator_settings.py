@@ -10,8 +10,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.effects.base import ACTUATED, Effect
-from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorDelay
+from idapt_pl.effects.signals import FILTERS, ActuatorLag, SensorDelay
 from idapt_pl.effects.world import Numerics
 from idapt_pl.report.changed_settings import effects_at_ends
 
@@ -28,6 +27,9 @@ TERMS = {
 SAID = ("joint_damping", "joint_frictionloss", "joint_armature", "actuator_kp", "actuator_kv", "actuator_delay",
         "actuator_saturation")  # fmt: skip
 """Effects that these terms say in full."""
+
+PLAIN = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+"""Laws of motors and of servos."""
 
 ELSEWHERE = ("body_mass", "body_com", "body_inertia", "payload", "gravity_direction", "contact_friction",
              "contact_softness", "numerics", "fluid_drag")  # fmt: skip
@@ -78,7 +80,7 @@ def drives_of(diagnosis: Diagnosis, effects: Effects) -> dict[str, tuple[dict[st
         drives = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == j))
         if len(drives) == 1 and model.jnt_type[j] >= 2:
             values, servo = terms_of(model, j, int(drives[0]))
-            if late := delay_of(effects, model.actuator(int(drives[0])).name):
+            if late := float(model.actuator_delay[drives[0]]) + sensor_delay(effects):
                 values["delay"] = late
             found[model.joint(j).name] = values, servo
     return found
@@ -109,15 +111,23 @@ def terms_of(model: mujoco.MjModel, j: int, i: int) -> tuple[dict[str, float], b
     return values, servo
 
 
-def delay_of(effects: Effects, actuator: str) -> float:
-    """By how much an actuator's commands act late, with what all measurements are late by, s."""
-    own = [e.delay for e in effects if isinstance(e, ActuatorDelay) and applies(e, actuator)]
-    return float(sum(own) + sum(e.delay for e in effects if isinstance(e, SensorDelay)))
+def sensor_delay(effects: Effects) -> float:
+    """By how much all measurements are late, s, which the compiled model does not have."""
+    return float(sum(e.delay for e in effects if isinstance(e, SensorDelay)))
 
 
-def applies(effect: Effect, actuator: str) -> bool:
-    """Whether an actuator is among an effect's targets."""
-    return effect.target in ("*", ACTUATED, actuator)
+def own_dynamics(spec: mujoco.MjSpec) -> list[str]:
+    """What the nominal model's actuators do that the terms do not say, in words."""
+    told = [
+        f"{a.name}: a first-order filter of {a.dynprm[0]:.3g} s on the commands, which the model has anyway"
+        for a in spec.actuators if a.dyntype in FILTERS
+    ]  # fmt: skip
+    odd = [
+        a.name for a in spec.actuators if a.biastype not in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
+    ]
+    return told + [
+        f"{name}: a drive of another kind (a DC motor, a muscle), whose own law these are not" for name in odd
+    ]
 
 
 def left_unsaid(diagnosis: Diagnosis, drives: list[DriveSettings]) -> list[str]:
@@ -125,6 +135,7 @@ def left_unsaid(diagnosis: Diagnosis, drives: list[DriveSettings]) -> list[str]:
     told = ["velocity limits: neither the model nor short forecasts say them"]
     if any("effort_limit" not in d.values for d in drives):
         told.append("effort limits of drives that have none in the model")
+    told += own_dynamics(diagnosis.sim.spec)
     for effect in diagnosis.effects:
         where = f"{effect.name} on {effect.target}"
         if isinstance(effect, ActuatorLag):
