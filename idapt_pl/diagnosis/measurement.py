@@ -12,13 +12,7 @@ from idapt_pl.diagnosis.candidate_fit import split_parameters
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
-from idapt_pl.estimation.intervals import covariance, unknown_variance
-
-UNSEEN = 0.1
-"""Sigmas by which a change of a parameter by its scale must move all residuals together, to be measured at all.
-
-Else it may be anything: a centre of mass across the plane in which a pendulum swings.
-"""
+from idapt_pl.estimation.intervals import covariance, unknown_variance, unseen
 
 
 def measure_intervals(context: SearchContext, state: SearchState) -> SearchState:
@@ -32,7 +26,7 @@ def measure_intervals(context: SearchContext, state: SearchState) -> SearchState
     by_chance = student.ppf(0.975, max(clusters - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0))
     unknown = unknown_variance(fit.solution, systematic_changes(context, state))
     width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown))
-    width[np.linalg.norm(fit.solution.J, axis=0) < UNSEEN] = np.inf
+    width[unseen(fit.solution.J.T @ fit.solution.J)] = np.inf
     halves = split_parameters(state.candidates, width * np.concatenate([c.scale for c in state.candidates]))
     timestep = context.sim.compile(state.fixed).opt.timestep
     measured = (with_interval(a, half, timestep) for a, half in zip(state.accepted, halves, strict=True))

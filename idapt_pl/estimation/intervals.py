@@ -12,10 +12,35 @@ FEWEST_CLUSTERS = 8
 """Where there are fewer episodes, stretches of them may stand for episodes in intervals."""
 
 
+UNSEEN = 0.1
+"""Sigmas by which a change of a parameter by its scale must move all residuals together, to be measured at all.
+
+Else it may be anything: a centre of mass across the plane in which a pendulum swings.
+"""
+
+
 def influence(fit: LeastSquaresFit) -> tuple[np.ndarray, np.ndarray]:
     """How x / scale moves with residuals, but for the sign: (JᵀWJ)⁻¹, (p, p), and W J, (n rows, p)."""
     weighted = huber_weights(fit.z.ravel())[:, None] * fit.J
     return np.linalg.pinv(fit.J.T @ weighted), weighted
+
+
+def unseen(information: np.ndarray) -> np.ndarray:
+    """Which parameters the residuals do not show, (..., p), by Fisher's information in scales, (..., p, p)."""
+    return np.sqrt(np.diagonal(information, axis1=-2, axis2=-1)) < UNSEEN
+
+
+def deviations_from(information: np.ndarray) -> np.ndarray:
+    """Standard deviations of x / scale, (p,), by Fisher's information (p, p).
+
+    Infinite for what it does not show: beside the unseen, what it shows in a sum with others alone.
+    """
+    out = np.full(len(information), np.inf)
+    seen = np.flatnonzero(~unseen(information))
+    among = information[np.ix_(seen, seen)]
+    floor = 1e-12 * np.trace(among) * np.eye(len(seen))  # a sum of two has no inverse
+    out[seen] = np.sqrt(np.diag(np.linalg.inv(among + floor)))
+    return np.where(out < 1 / UNSEEN, out, np.inf)
 
 
 def unknown_variance(fit: LeastSquaresFit, changes: Sequence[np.ndarray]) -> np.ndarray:

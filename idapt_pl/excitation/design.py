@@ -10,6 +10,7 @@ import cma
 import numpy as np
 
 from idapt_pl.diagnosis.context import Progress
+from idapt_pl.estimation.intervals import deviations_from
 from idapt_pl.excitation.criterion import Score, SeparationCriterion
 from idapt_pl.excitation.forecast import Forecast, coarse
 from idapt_pl.excitation.limits import ImpossibleMotion, MotionLimits
@@ -52,7 +53,8 @@ class MotionDesign:
         commands: (T, nu).
         separations: of every pair of rivals, each fitted again to what the other predicts, standard deviations.
         reachable: the greatest separation of every pair that any safe motion tried would give, by the linear number.
-        deviations: standard deviations that the motion alone leaves of the first rival's parameters, in their units.
+        deviations: standard deviations that the motion alone leaves of the first rival's parameters, in their units;
+            infinite where it does not show them.
         margins: the tightest places over all explanations and their variants.
         forecasts: of each rival.
         growth: ends of windows, s, (w,), and how much every pair is separated until then, (pairs, w).
@@ -130,10 +132,10 @@ class MotionSearch:
         """What safe motions are worth, (n,), above 0."""
         if self.goal is Goal.SEPARATE:
             return (score.separations / (score.separations + SEPARATED)).mean(1)
+        if self.goal is Goal.ESTIMATE_EACH:
+            return np.array([narrowness(F) for F in score.information])
         F = score.information + 1e-9 * np.eye(score.information.shape[-1])
-        if self.goal is Goal.ESTIMATE:
-            return np.exp(np.linalg.slogdet(F)[1] / F.shape[-1] / 2)
-        return 1 / np.sqrt(np.trace(np.linalg.inv(F), axis1=1, axis2=2))
+        return np.exp(np.linalg.slogdet(F)[1] / F.shape[-1] / 2)
 
     def values(self, x: np.ndarray, worth: Callable[[Score], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Values of coefficients (n, size): the worth of safe motions, minus the excess of others; and separations."""
@@ -255,7 +257,7 @@ class MotionSearch:
         self.reachable = np.maximum(self.reachable, separations)
         F = self.criterion(commands).information[0]
         scale = np.concatenate([c.scale for c in self.criterion.rivals[0].candidates])
-        deviations = np.sqrt(np.diag(np.linalg.pinv(F, hermitian=True))) * scale
+        deviations = deviations_from(F) * scale
         forecasts = [forecast(r.effects, commands) for r in self.criterion.rivals]
         self.progress("done", 1.0)
         return MotionDesign(
@@ -291,6 +293,16 @@ class MotionSearch:
                 check = PoseCheck(forecast.sim.compile(variant), self.limits)
                 found += self.margins(check, forecast(variant, commands, start))
         return tightest_of_each(found)
+
+
+def narrowness(information: np.ndarray) -> float:
+    """How many parameters a motion shows, and below 1 how narrow these get, by Fisher's information (p, p).
+
+    A parameter that no motion shows must not hide how well they show the others.
+    """
+    deviations = deviations_from(information)
+    shown = deviations[np.isfinite(deviations)]
+    return len(shown) + float(1 / (1 + np.linalg.norm(shown)))
 
 
 def of_pair(pair: int) -> Callable[[Score], np.ndarray]:

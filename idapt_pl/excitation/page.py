@@ -92,7 +92,10 @@ def parameters_section(parameters: Sequence[dict]) -> str:
             "#-" if p[k] is None else f"#{format_number(p[k])}" for k in ("half_width_now", "half_width_from_motion")
         ]
         rows.append(row(p["name"], f"#{format_number(p['value'])}", *widths, p["unit"]))
-    note = "Half widths of 95 % intervals: of the report, and what one play of this motion alone would give."
+    note = (
+        "Half widths of 95 % intervals: of the report, and what one play of this motion alone would give; "
+        "- where it tells nothing."
+    )
     heads = ("parameter", "#estimate", "#now", "#from this motion", "unit")
     return section("Estimates", table(heads, rows), paragraph(note, "small")) if rows else ""
 

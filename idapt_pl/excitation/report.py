@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from idapt_pl.effects.wording import phrase_at, unit_at
 from idapt_pl.excitation.design import SEPARATED, MotionDesign
@@ -129,6 +130,11 @@ def four_digits(value: float) -> float:
     return float(f"{value:.4g}")
 
 
+def finite_or_none(value: float) -> float | None:
+    """A number with four significant digits; None, as JSON has no infinity."""
+    return four_digits(value) if np.isfinite(value) else None
+
+
 def information_rows(
     design: MotionDesign, rival: Rival, intervals: Mapping[tuple[str, str, str], tuple[float, float]],
     model: mujoco.MjModel,
@@ -147,7 +153,7 @@ def information_rows(
                     "value": float(value),
                     "unit": unit_at(model, c.target, unit),
                     "half_width_now": None if interval is None else four_digits((interval[1] - interval[0]) / 2),
-                    "half_width_from_motion": four_digits(1.96 * next(deviations)),
+                    "half_width_from_motion": finite_or_none(1.96 * next(deviations)),
                 }
             )
     return rows

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from idapt_pl.diagnosis.explanation import Standing
-from idapt_pl.effects.wording import format_number
+from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.rivals import Rival
 
@@ -27,11 +27,20 @@ def motion_headline(design: MotionDesign, goal: Goal) -> str:
 
 
 def motion_in_words(design: MotionDesign, rivals: Sequence[Rival], goal: Goal) -> list[str]:
-    """What the motion tells apart and what none can, a sentence each."""
+    """What the motion tells apart and what none can, and the parameters that it does not show, a sentence each."""
     if goal is not Goal.SEPARATE:
-        return ["The motion is for narrowing the intervals of what was found; see the table of parameters."]
+        first = "The motion is for narrowing the intervals of what was found; see the table of parameters."
+        return [first, *unseen_in_words(design, rivals[0])]
     rows = zip(combinations(rivals, 2), design.separations, design.reachable, strict=True)
-    return [pair_in_words(first, second, apart, reachable) for (first, second), apart, reachable in rows]
+    pairs = [pair_in_words(first, second, apart, reachable) for (first, second), apart, reachable in rows]
+    return [*pairs, *unseen_in_words(design, rivals[0])]
+
+
+def unseen_in_words(design: MotionDesign, found: Rival) -> list[str]:
+    """The parameters of what was found that the motion tells nothing of, in a sentence if there are any."""
+    names = [f"{phrase_at(c.kind.name, c.target)}: {name}" for c in found.candidates for name in c.names]
+    unknown = [n for n, d in zip(names, design.deviations, strict=True) if not np.isfinite(d)]
+    return [f"This motion tells nothing of {'; '.join(unknown)}."] if unknown else []
 
 
 def pair_in_words(first: Rival, second: Rival, apart: float, reachable: float) -> str:

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from idapt_pl.estimation.intervals import clusters_of, covariance, paired_gain, unknown_variance
+from idapt_pl.estimation.intervals import (
+    clusters_of,
+    covariance,
+    deviations_from,
+    paired_gain,
+    unknown_variance,
+    unseen,
+)
 from idapt_pl.estimation.least_squares import LeastSquaresFit
 
 
@@ -67,3 +74,10 @@ def test_intervals_cover_the_truth_however_few_episodes_there_are(episodes):
         V = covariance(LeastSquaresFit(x, 1.0, J, (noise - J @ x).reshape(n, 4)), clusters)
         covered += abs(x[0]) < quantile * np.sqrt(V[0, 0])
     assert 0.91 < covered / 400 < 0.99
+
+
+def test_what_residuals_do_not_show_is_not_known_at_all():
+    assert unseen(np.diag([100.0, 1e-6, 0.0])).tolist() == [False, True, True]
+    assert deviations_from(np.diag([100.0, 4.0, 0.0])) == pytest.approx([0.1, 0.5, np.inf])
+    sum_of_two = np.array([[100.0, 100.0, 0.0], [100.0, 100.0, 0.0], [0.0, 0.0, 4.0]])
+    assert deviations_from(sum_of_two) == pytest.approx([np.inf, np.inf, 0.5])

@@ -7,6 +7,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
 from idapt_pl.effects.actuators import ActuatorBias
+from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.effects.world import ExternalForce
 from idapt_pl.excitation.forecast import MotionForecaster
@@ -58,6 +59,8 @@ DAMPING = explained(Standing.FOUND, JointDamping("shoulder", 0.6), damping=(0.2,
 FRICTION = explained(Standing.EQUIVALENT, JointFrictionloss("shoulder", 0.12), frictionloss=(0.02, 0.1))
 ARMATURE = explained(Standing.RUNNER_UP, JointArmature("shoulder", 0.03), armature=(0.01, 0.02))
 OFFSET = explained(Standing.FOUND, ActuatorBias("push", 0.05), bias=(0.0, 0.05))
+CENTRE = explained(Standing.FOUND, BodyCom("arm", 0.0, 0.01, 0.02), y=(0.0, 0.1), z=(0.0, 0.1))
+"""Along its axis, y, no swing shows where the rod's mass is."""
 FORCE = explained(Standing.EQUIVALENT, ExternalForce("cart", 0.5, 0.0, 0.0), x=(0.0, 0.5))
 
 

@@ -1,13 +1,18 @@
 """The search finds safe motions, the same ones for the same seed, or says why there are none."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
-from arms import DAMPING, FORCE, FRICTION, OFFSET, RAIL, SERVO, compiled, left_open, quick_plan
+from arms import CENTRE, DAMPING, FORCE, FRICTION, OFFSET, RAIL, SERVO, compiled, left_open, quick_plan
 
+from idapt_pl.diagnosis.explanation import ExplainingEffect
+from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.excitation.design import Goal
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.plan import design_motion, holding_commands, read_base, start_pose
+from idapt_pl.excitation.report import information_rows
 from idapt_pl.excitation.wording import inseparable_groups, motion_headline, motion_in_words
 
 
@@ -51,6 +56,18 @@ def test_estimates_get_narrower_with_the_room_there_is():
     each, _, _ = designed(DAMPING, goal=Goal.ESTIMATE_EACH)
     assert wide.deviations[0] < 0.5 * narrow.deviations[0]
     assert each.deviations == pytest.approx(wide.deviations, rel=0.2)  # with one parameter they are the same
+
+
+@pytest.mark.parametrize("goal", [Goal.ESTIMATE, Goal.ESTIMATE_EACH])
+def test_a_parameter_that_no_motion_shows_is_unknown_and_does_not_hide_the_others(goal):
+    both, rivals, forecaster = designed(CENTRE, goal=goal)
+    alone, _, _ = designed(
+        replace(CENTRE, effects=(ExplainingEffect(BodyCom("arm", 0, 0.01, 0.02), {"z": (0, 0.1)}),)), goal=goal
+    )
+    assert both.deviations[0] == np.inf and both.deviations[1] == pytest.approx(alone.deviations[0], rel=0.3)
+    y, z = information_rows(both, rivals[0], {}, forecaster.model)
+    assert y["half_width_from_motion"] is None and z["half_width_from_motion"] > 0
+    assert motion_in_words(both, rivals, goal)[1] == "This motion tells nothing of centre of mass of body arm: y."
 
 
 def test_one_explanation_cannot_be_told_apart():
