@@ -2,7 +2,7 @@
 
     python benchmarks/baselines.py --seeds 0                                  # all of METHODS, one after the other
     python benchmarks/baselines.py --methods dr_wide cc_image --seeds 0 1 2
-    python benchmarks/baselines.py --config cheetah_quick --methods idapt dr_narrow
+    python benchmarks/baselines.py --config cheetah_quick --methods idapt dr_narrow data_backwards
 
 A method is a preset over a config: ``idapt fit --config configs/<config>.yaml --config configs/presets/<method>.yaml``;
 ``idapt`` is the config as it is. Finished runs are not repeated. Writes results/baselines.csv: ``mean`` and ``std`` are
@@ -22,9 +22,11 @@ from tables import replace_rows
 ROOT = Path(__file__).parents[1]
 METHODS = (
     "direct_transfer", "oracle", "idapt", "dr_narrow", "dr_paper_narrow", "dr_wide", "adaptive_rl", "cc_state",
-    "cc_image", "visual_only", "no_state_reconstruction", "newest_data", "dr_grounded", "data_random", "data_expert",
-    "data_random_expert", "paper_small",
+    "cc_image", "visual_only", "no_state_reconstruction", "accumulate", "newest_data", "dr_grounded", "data_random",
+    "data_expert", "data_random_expert", "paper_small",
 )  # fmt: skip
+LOCOMOTION = ("data_backwards", "data_random_backwards_expert")
+"""Beside them, of robots that can walk backwards."""
 FIELDS = (
     "config", "task", "target", "method", "seed", "metric", "mean", "std", "episodes", "target_interactions",
     "reference_interactions", "minutes", "threads", "commit", "cpu",
@@ -68,11 +70,12 @@ def main() -> None:
     """Run the benchmark."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--config", default="pendulum_quick", help="name of a file in configs/, without .yaml")
-    p.add_argument("--methods", nargs="+", default=METHODS, help="names of files in configs/presets/, or idapt")
+    p.add_argument("--methods", nargs="+", help="names of files in configs/presets/, or idapt; default: all")
     p.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     p.add_argument("--out", type=Path, default=ROOT / "results/baselines.csv")
     o, extra = p.parse_known_args()
-    for method in o.methods:
+    walks = o.config.startswith(("cheetah", "walker"))
+    for method in o.methods or (*METHODS, *(LOCOMOTION if walks else ())):
         preset = [] if method == "idapt" else ["--config", str(ROOT / f"configs/presets/{method}.yaml")]
         for seed in o.seeds:
             folder = run(ROOT / f"configs/{o.config}.yaml", seed, [*preset, *extra], f"baselines_{o.config}_{method}")
