@@ -35,7 +35,7 @@ from idapt_pl.rl.experts import fit_expert, measure_expert, train_expert
 from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.tasks import make_task
 
-SHARES = (0.0625, 0.125, 0.25, 0.5)
+SHARES = (0.25, 0.5, 1.0, 1.5)
 KEY = ("task", "seed", "change", "share")
 FARTHEST = 3.0
 """Factors are between this and its inverse."""

@@ -37,6 +37,10 @@ def fit(*options):
     return ["fit", "--config", QUICK, "--run_dir", "run", *options]
 
 
+def test_there_are_many_of_them():
+    assert len(WRONG) + len(CANNOT_BE) + len(NO_YAML) >= 500
+
+
 @pytest.mark.parametrize(("key", "value"), WRONG)
 def test_numbers_that_cannot_be_right(key, value, tmp_path):
     if not (key in MAY_BE_NEGATIVE and value == "-7"):
