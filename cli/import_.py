@@ -10,6 +10,7 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -37,10 +38,15 @@ from datamodules.recordings import (
 )
 from datamodules.recordings.check import check_against_model, check_velocities
 
+if TYPE_CHECKING:
+    import mujoco
+
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
 """By MuJoCo's number for them (mjtJoint)."""
 JOINT_TRANSMISSIONS = (0, 1)
 """MuJoCo's numbers (mjtTrn) of actuators that drive a joint."""
+FIXED_GAIN = 0
+"""MuJoCo's number (mjtGain) of actuators whose force is a multiple of their command."""
 NO_BIAS = 0
 """MuJoCo's number (mjtBias) of actuators whose force is their command alone, as a motor's."""
 
@@ -189,14 +195,25 @@ def read_layout(path: Path, actuators: str | None = None) -> ModelLayout:
         for i in range(model.njnt)
     )
     names = [model.actuator(i).name for i in range(model.nu)]
-    ranges = [tuple(r) if limited else None
-              for r, limited in zip(model.actuator_ctrlrange, model.actuator_ctrllimited, strict=True)]  # fmt: skip
+    ranges = [command_range(model, i) for i in range(model.nu)]
     driven = [
         model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] in JOINT_TRANSMISSIONS else ""
         for i in range(model.nu)
     ]
     force = [bool(bias == NO_BIAS) for bias in model.actuator_biastype]
     return ModelLayout(str(path), joints, tuple(map(ActuatorLayout, names, ranges, driven, force)))
+
+
+def command_range(model: mujoco.MjModel, i: int) -> tuple[float, float] | None:
+    """Range of an actuator's control; of a motor without one, what its joint's effort limit lets through."""
+    if model.actuator_ctrllimited[i]:
+        return tuple(model.actuator_ctrlrange[i].tolist())
+    j, scale = model.actuator_trnid[i, 0], float(model.actuator_gear[i, 0] * model.actuator_gainprm[i, 0])
+    motor = model.actuator_biastype[i] == NO_BIAS and model.actuator_gaintype[i] == FIXED_GAIN and scale
+    if not motor or model.actuator_trntype[i] not in JOINT_TRANSMISSIONS or not model.jnt_actfrclimited[j]:
+        return None
+    low, high = sorted((model.jnt_actfrcrange[j] / scale).tolist())
+    return low, high
 
 
 def print_preview(imported: Imported, mapping: Mapping) -> None:

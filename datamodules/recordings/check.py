@@ -38,7 +38,7 @@ class ActuatorLayout:
 
     Attributes:
         name: its name.
-        range: of its control, None without limits.
+        range: of its control, or of what its joint's effort limit lets a motor do; None without limits.
         joint: that it drives, empty if it drives something else.
         force: whether its command is a force or torque, not the target of a servo.
     """

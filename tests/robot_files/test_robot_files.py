@@ -199,3 +199,60 @@ def test_actuators_of_joints_that_are_not_there_and_a_second_set_are_errors(urdf
     spec = read_robot(urdf(), parse_actuators("motor")).spec
     with pytest.raises(ValueError, match="has actuators already"):
         add_actuators(spec, parse_actuators("motor"), "arm.urdf")
+
+
+def joints(*elements):
+    """A URDF of joints in a chain, a0, a1, ..., each with such elements; its path."""
+    links = "".join(f'<link name="l{k}">{GOOD}</link>' for k in range(1, len(elements) + 1))
+    made = "".join(
+        f'<joint name="a{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/>{inside}</joint>'
+        for k, (kind, inside) in enumerate(elements)
+    )
+    return f'<robot name="arm"><link name="l0"/>{links}{made}</robot>'
+
+
+LIMITS = [
+    ("revolute", '<limit lower="-1" upper="1" effort="5" velocity="3"/>'),
+    ("revolute", '<limit effort="5"/>'),
+    ("revolute", '<limit lower="1" upper="-1" effort="5"/>'),
+    ("prismatic", '<limit lower="0" upper="0.2"/>'),
+    ("prismatic", '<limit lower="0" upper="0.2" effort="0"/>'),
+    ("continuous", '<limit effort="2"/>'),
+    ("continuous", ""),
+]
+
+
+def test_limits_of_positions_and_efforts_are_in_the_model_or_named_as_not_given(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(joints(*LIMITS))
+    robot = read_robot(path)
+    assert said(robot, "no position limits given for a1, a2: none"), robot.notes
+    assert said(robot, "no effort limits given for a3, a4, a6: none")
+    assert said(robot, "velocity limits are dropped", "(a0)")
+    model = robot.spec.compile()
+    assert model.jnt_limited.tolist() == [1, 0, 0, 1, 1, 0, 0]
+    assert model.jnt_actfrclimited.tolist() == [1, 1, 1, 0, 0, 1, 0]
+    np.testing.assert_allclose(model.jnt_range[[0, 3]], [[-1, 1], [0, 0.2]])
+    np.testing.assert_allclose(model.jnt_actfrcrange[[0, 1, 5]], [[-5, 5], [-5, 5], [-2, 2]])
+
+
+def test_where_all_limits_are_given_nothing_is_said_of_them(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        joints(("revolute", '<limit lower="-1" upper="1" effort="5"/>'), ("continuous", '<limit effort="2"/>'))
+    )
+    assert not said(read_robot(path), "limits given")
+
+
+def test_names_of_many_joints_are_cut_short(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(joints(*[("revolute", "")] * 8))
+    assert said(read_robot(path), "no effort limits given for a0, a1, a2, a3, a4, a5 and 2 more: none")
+
+
+@pytest.mark.parametrize("limit", ['<limit lower="x" upper="1"/>', '<limit effort="inf"/>', '<limit effort="1 2"/>'])
+def test_a_limit_that_is_no_number_is_a_clear_error(limit, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(joints(("revolute", limit)))
+    with pytest.raises(ValueError, match=r"arm.urdf: .*<limit \w+='.+'>: expected a number"):
+        read_robot(path)
