@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
@@ -11,6 +12,7 @@ import numpy as np
 
 from idapt_pl.effects.base import ACTUATED, PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import JointSignals, SignalForce
+from idapt_pl.effects.own_signals import arriving_commands
 from idapt_pl.effects.runtime import ForceEffect
 
 
@@ -20,7 +22,7 @@ class MotionNow:
 
     Attributes:
         qpos, qvel: (n, nq), (n, nv).
-        commands: that act from now on, (n, nu).
+        commands: as they arrive at the motors from now on, after delays and filters, (n, nu).
         activation: of actuators with states, (n, na).
         time: s since each episode began, (n,).
     """
@@ -41,7 +43,8 @@ class ActingForces:
     """
 
     def __init__(self, model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
-        self.model, self.scratch = model, mujoco.MjData(model)
+        self.model, self.at_once = model, without_delays(model)
+        self.scratch = mujoco.MjData(self.at_once)
         pairs = [(e, j) for e in effects if isinstance(e, SignalForce) for j in joints_meant(model, e.target)]
         self.pairs: list[tuple[SignalForce, int]] = pairs
         self.memories = sum(e.memories for e, _ in pairs)
@@ -55,7 +58,7 @@ class ActingForces:
 
     def loads(self, now: MotionNow) -> tuple[np.ndarray, np.ndarray]:
         """Forces of actuators, and of gravity and motion, on all degrees of freedom, (n, nv) each."""
-        d, m = self.scratch, self.model
+        d, m = self.scratch, self.at_once
         motor, load = np.zeros_like(now.qvel), np.zeros_like(now.qvel)
         for i in range(len(now.qvel)):  # no more of mj_forward than it takes
             d.qpos, d.qvel = now.qpos[i], now.qvel[i]
@@ -92,6 +95,15 @@ class ActingForces:
     def split(self, memory: np.ndarray) -> list[np.ndarray]:
         """The memory of each law on each joint."""
         return np.split(memory, np.cumsum([e.memories for e, _ in self.pairs])[:-1], -1)
+
+
+def without_delays(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model, or a copy in which commands act at once: those that laws are given have arrived."""
+    if not (model.actuator_delay > 0).any():
+        return model
+    model = copy.copy(model)
+    model.actuator_delay[:] = 0
+    return model
 
 
 def joints_meant(model: mujoco.MjModel, target: str) -> list[int]:
@@ -180,8 +192,8 @@ class _InOneSimulation:
 
     def by_signals(self, data: mujoco.MjData) -> np.ndarray:
         """What laws that look at signals add now, (nv,)."""
-        qpos, qvel, commands, activation = (np.array(x)[None] for x in (data.qpos, data.qvel, data.ctrl, data.act))
-        now = MotionNow(qpos, qvel, commands, activation, np.array([data.time]))
+        qpos, qvel, activation = (np.array(x)[None] for x in (data.qpos, data.qvel, data.act))
+        now = MotionNow(qpos, qvel, arriving_commands(self.model, data)[None], activation, np.array([data.time]))
         signals = self.acting.signals(now)
         if data.time < self.time + 1e-12 and data.time != self.time:
             self.memory[:] = 0.0

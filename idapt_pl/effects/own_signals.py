@@ -29,6 +29,21 @@ def take_signals(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, tuple[CommandEffec
     return spec, tuple(taken)
 
 
+def arriving_commands(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """What the next step's forces come from, (nu,): commands after the model's delays, and filters' states."""
+    out = data.ctrl.copy()
+    for i in np.flatnonzero(model.actuator_delay > 0):
+        mujoco.mj_readCtrl(model, data, int(i), data.time, read := np.zeros((1, 1)), -1)
+        out[i] = read[0, 0]
+    filters = np.flatnonzero(np.isin(model.actuator_dyntype, FILTERS))
+    at, early = model.actuator_actadr[filters], model.actuator_actearly[filters].astype(bool)
+    lag, h = model.actuator_dynprm[filters, 0], model.opt.timestep
+    exact = model.actuator_dyntype[filters] == mujoco.mjtDyn.mjDYN_FILTEREXACT
+    share = np.where(exact, -np.expm1(-h / np.maximum(lag, mujoco.mjMINVAL)), h / np.maximum(lag, mujoco.mjMINVAL))
+    out[filters] = data.act[at] + early * share * (out[filters] - data.act[at])
+    return out
+
+
 def commanded_activations(model: mujoco.MjModel, commands: np.ndarray) -> np.ndarray:
     """States of a model's actuators that have followed their commands, (n, nu) to (n, na)."""
     out, one = np.zeros((len(commands), model.na)), np.flatnonzero(model.actuator_actnum == 1)
