@@ -53,8 +53,9 @@ def parser(command: str, description: str, examples: str = "") -> argparse.Argum
 
 
 def add_task_options(p: argparse.ArgumentParser) -> None:
-    """Give a parser ``--task-options``, as ``task_options`` of a config."""
+    """Give a parser ``--task_options``, spelled as in `idapt fit`, or with a hyphen as this command's other options."""
     p.add_argument(
+        "--task_options",
         "--task-options",
         type=options_of,
         default={},

@@ -1,6 +1,9 @@
 """Tasks made of environments of others, and of the user's own modules."""
 
 import gc
+import os
+import shlex
+import subprocess
 import sys
 import weakref
 from contextlib import closing
@@ -21,9 +24,16 @@ from idapt_pl.tasks import Task, make_task, robot_spec
 from idapt_pl.tasks.environment_task import EnvironmentTask
 
 PAGE = (ROOT / "docs/guide/own_robot.md").read_text()
-URDF = next(part.split("```")[0] for part in PAGE.split("```xml\n") if part.startswith("<robot"))
-GUIDE = next(part.split("```")[0] for part in PAGE.split("```python\n") if part.startswith("# my_robot.py"))
-"""The user's own robot, as the guide has it: a URDF, a motor, a camera and a reward."""
+BLOCKS = [part.split("\n", 1) for part in PAGE.split("```")[1::2]]
+"""Kind and text of each block of code of the guide."""
+
+URDF = next(text for kind, text in BLOCKS if kind == "xml")
+NAMED = {text.split()[1]: text for kind, text in reversed(BLOCKS) if kind in ("python", "yaml") and text[:2] == "# "}
+FILES = {"arm.urdf": URDF} | {name: NAMED[name] for name in ("my_robot.py", "my_lab.py", "my.yaml")}
+GUIDE = FILES["my_robot.py"]
+"""The user's own robot, as the guide has it: a URDF, a motor, a camera and a reward, a lab and a config."""
+
+COMMANDS = [line for kind, text in BLOCKS if kind == "bash" for line in text.splitlines() if line.startswith("idapt ")]
 
 MODULE = (
     GUIDE
@@ -303,6 +313,50 @@ def test_a_users_own_arm_from_a_urdf():
             assert reward[0] == pytest.approx(-abs(obs["state"][0, 0] - 0.5), abs=1e-6)
             ends.append(obs["state"][0, 0])
     assert ends[0] > 1.2 * ends[1] > 0
+
+
+def typed(folder, *words):
+    """Types the guide's first command that has these words, in a folder with its files. Returns what it prints."""
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    command = next(line for line in COMMANDS if all(word in line for word in words))
+    given = [sys.executable, "-m", "cli", *shlex.split(command, comments=True)[1:]]
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(given, cwd=folder, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.mark.usefixtures("own")
+def test_the_guides_lab_shows_the_same_arm_that_moves_less(tmp_path, monkeypatch):
+    source, scope = make_task("my_arm:Reach"), {}
+    monkeypatch.setitem(sys.modules, "my_robot", sys.modules["my_arm"])
+    exec(FILES["my_lab.py"], scope)
+    lab, model = scope["Lab"](), source.domain("source").compile()
+    assert lab.dt == pytest.approx(source.period(model)) and lab.action_space.high.tolist() == [5.0]
+    first, _ = lab.reset(seed=0)
+    image, reward, *_ = lab.step([5.0])
+    assert lab.observation_space.contains(image) and np.abs(image.astype(int) - first).max() > 50
+    data = mujoco.MjData(model)
+    data.qpos[:] = lab.reset(seed=0) and lab.data.qpos
+    ours, theirs = source.step(model, data, np.array([5.0]))[0], lab.step([5.0])[1]
+    assert ours > theirs == reward > -1.2
+
+
+@pytest.mark.slow
+def test_the_guides_files_are_a_source_and_a_target_that_suit_each_other(tmp_path):
+    typed(tmp_path, "gallery")
+    assert "my_robot:Reach" in (tmp_path / "gallery/index.html").read_text()
+    said = typed(tmp_path, "check", "--move-target")
+    assert "motor                                    -5 to 5 N·m                 -5 to 5" in said
+    assert "\n- " not in said and (tmp_path / "check.png").exists()
+
+
+@pytest.mark.slow
+def test_the_guides_run_goes_through_every_stage(tmp_path):
+    assert "IDAPT, grounding step 1" in typed(tmp_path, "fit", "--shorten")
+    (run,) = (tmp_path / "runs").iterdir()
+    assert (run / "report.html").exists() and (run / "step_01/policy/final.ckpt").exists()
 
 
 @pytest.mark.usefixtures("own")
