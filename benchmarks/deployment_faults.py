@@ -30,7 +30,8 @@ import numpy as np
 from tables import read_rows, write_rows
 
 from benchmarks.undeclared.cases import CASES
-from benchmarks.undeclared.generate import generate
+from benchmarks.undeclared.generate import generate, true_model
+from benchmarks.undeclared.models import MODELS
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories, read_trajectories
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
@@ -55,6 +56,7 @@ BASES = {
 """Without and with a physical effect, for each model."""
 
 DEGREES = 180 / np.pi
+GEAR = 50.0
 Channels = dict[str, np.ndarray]
 Plant = Callable[[Channels, mujoco.MjModel, np.random.Generator], str]
 """Edits qpos, qvel and actions of one episode in place (the generator is the same for each) and names the target."""
@@ -82,6 +84,27 @@ def joint_unit(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> 
     x["qpos"][:, model.jnt_qposadr[hinges]] *= DEGREES
     x["qvel"][:, model.jnt_dofadr[hinges]] *= DEGREES
     return "*"
+
+
+def joint_unit_one(x: Channels, model: mujoco.MjModel, rng: np.random.Generator, factor: float = DEGREES) -> str:
+    """One hinge alone in degrees, the others in rad."""
+    ((i, q, v),) = pick(model, rng)
+    x["qpos"][:, q] *= factor
+    x["qvel"][:, v] *= factor
+    return model.joint(int(model.actuator_trnid[i, 0])).name
+
+
+def joint_counts(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """All hinges in counts of an encoder with 14 bits a turn."""
+    hinges = model.jnt_type == 3
+    x["qpos"][:, model.jnt_qposadr[hinges]] *= 16384 / (2 * np.pi)
+    x["qvel"][:, model.jnt_dofadr[hinges]] *= 16384 / (2 * np.pi)
+    return "*"
+
+
+def joint_gear(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """One joint as its motor turns, in front of a gear of 50."""
+    return joint_unit_one(x, model, rng, GEAR)
 
 
 def joint_zero(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
@@ -151,6 +174,12 @@ def command_unit(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -
     return "*"
 
 
+def command_gear(x: Channels, model: mujoco.MjModel, rng: np.random.Generator) -> str:
+    """All commands as torques in front of a gear of 50, or angles behind it."""
+    x["actions"][:] /= GEAR
+    return "*"
+
+
 def command_clock(x: Channels, model: mujoco.MjModel, rng: np.random.Generator, steps: int = -2) -> str:
     """Commands noted two steps after they acted."""
     u = x["actions"]
@@ -208,14 +237,20 @@ PLANTS: dict[str, Plant] = {
     for f in (
         joint_sign, joint_unit, joint_zero, joint_order, velocity_sign, velocity_unit, velocity_order, velocity_clock,
         position_unit, command_order, command_sign, command_unit, command_clock, command_clock_early, command_clock_one,
-        repeated_samples, lost_samples, reordered_samples, wrong_first_sample,
+        repeated_samples, lost_samples, reordered_samples, wrong_first_sample, joint_unit_one, joint_counts,
+        joint_gear, command_gear,
     )
 }  # fmt: skip
-KINDS = {"command_clock_early": "command_clock", "command_clock_one": "command_clock"}
+KINDS = {
+    "command_clock_early": "command_clock", "command_clock_one": "command_clock", "joint_unit_one": "joint_unit",
+    "joint_counts": "joint_unit", "joint_gear": "joint_unit", "command_gear": "command_unit",
+}  # fmt: skip
 NEED_TWO = ("joint_order", "velocity_order", "command_order", "command_clock_one")
+NEED_HINGE = ("joint_unit_one", "joint_gear")
+"""Of which a driven slide is none."""
 PERIODS = {"control_period": 2.0}
-MODELS_AT_FAULT = {"servo_as_motor": True, "motor_as_servo": False, "gravity_turned": None}
-"""Faults of the nominal model, and whether they need servos (True) or motors (False)."""
+MODELS_AT_FAULT = ("servo_as_motor", "motor_as_servo", "gravity_turned")
+"""Faults of the nominal model."""
 
 
 def faulty_model(spec: mujoco.MjSpec, data: Trajectories, name: str, seed: int) -> Trajectories:
@@ -238,6 +273,41 @@ def faulty_model(spec: mujoco.MjSpec, data: Trajectories, name: str, seed: int) 
         turned = [v for v in np.concatenate([np.eye(3), -np.eye(3)]) if v[2] > -0.5]
         spec.option.gravity = g * turned[int(rng.integers(len(turned)))]
     return data
+
+
+def servo_world(case: str, seed: int, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, Trajectories]:
+    """A model whose motors have become servos, and recordings of it: of a case's true world with such servos.
+
+    The recorded commands, from -1 to 1, are targets within half a radian. An actuator that is stronger in the true
+    world is a stronger servo. Noise is white, as the model's.
+    """
+    world, nominal, about = true_model(CASES[case]), spec.compile(), MODELS[CASES[case].model]
+    limits = np.abs(nominal.actuator_ctrlrange).max(1)
+    kp = 2 * np.abs(nominal.actuator_gear[:, 0]) * limits
+    true_kp = kp * np.abs(world.actuator_gear[:, 0] / nominal.actuator_gear[:, 0])
+    world.actuator_gear[:] = np.eye(6)[0]
+    world.actuator_biastype[:], world.actuator_ctrllimited[:] = int(mujoco.mjtBias.mjBIAS_AFFINE), 0
+    world.actuator_gainprm[:, 0], world.actuator_biasprm[:, 1], world.actuator_biasprm[:, 2] = (
+        true_kp, -true_kp, -0.1 * true_kp)  # fmt: skip
+    for actuator, stiffness in zip(spec.actuators, kp, strict=True):
+        actuator.set_to_position(kp=float(stiffness), kv=float(0.1 * stiffness))
+        actuator.gear, actuator.ctrllimited = np.eye(6)[0], mujoco.mjtLimited.mjLIMITED_FALSE
+    _, measured = generate(CASES[case], seed, ROOT / "runs" / "undeclared" / case / f"seed{seed}")
+    data, rng, episodes = read_trajectories(measured), np.random.default_rng([seed, 11]), []
+    every, state = round(data.dt / world.opt.timestep), mujoco.MjData(world)
+    for e in data:
+        targets = 0.5 * e.actions / limits
+        mujoco.mj_resetData(world, state)
+        state.qpos[:], state.qvel[:] = e.observations["qpos"][0], e.observations["qvel"][0]
+        rows = [np.concatenate([state.qpos, state.qvel])]
+        for u in targets:
+            state.ctrl[:] = u
+            mujoco.mj_step(world, state, every)
+            rows.append(np.concatenate([state.qpos, state.qvel]))
+        q, v = np.split(np.array(rows), [world.nq], axis=1)
+        q, v = q + rng.normal(0, about.noise.qpos, q.shape), v + rng.normal(0, about.noise.qvel, v.shape)
+        episodes.append(Episode(targets.astype(np.float32), {"qpos": q, "qvel": v}))
+    return spec, replace(data, episodes=tuple(episodes))
 
 
 def model_restored(report: FaultReport, faulty: mujoco.MjSpec, original: mujoco.MjModel, name: str) -> bool:
@@ -265,7 +335,7 @@ def planted(data: Trajectories, model: mujoco.MjModel, name: str, seed: int) -> 
 
 
 def restored(report: FaultReport, faulty: Trajectories, original: Trajectories, name: str) -> bool:
-    """Whether the mended recording is the one without the fault; a zero, to 0.05 rad; repeats, in part."""
+    """Whether the mended recording is the one without the fault: a zero to 0.05 rad, gears to 10 %, repeats in part."""
     fixed = report.fixed(faulty)
     if abs(fixed.dt / original.dt - 1) > 0.01:
         return False
@@ -277,7 +347,13 @@ def restored(report: FaultReport, faulty: Trajectories, original: Trajectories, 
     if name == "wrong_first_sample":
         return all(len(e) == len(o) - 2 for e, o in zip(fixed, original, strict=True))
     first = report.mend.margins[0]
-    allowed = {"joint_zero": 0.05, "repeated_samples": 0.3, "reordered_samples": 1e-3}.get(name, 1e-3)
+    allowed = {
+        "joint_zero": 0.05,
+        "joint_gear": 0.1,
+        "command_gear": 0.1,
+        "repeated_samples": 0.3,
+        "reordered_samples": 1e-3,
+    }.get(name, 1e-3)
     most = {"repeated_samples": 0.9, "reordered_samples": 0.95}.get(name, 1.0)
     for e, o in zip(fixed, original, strict=True):
         n = len(e)
@@ -297,6 +373,8 @@ def look(case: str, seed: int, name: str, folder: Path) -> dict:
     """One row: plant (nothing for an empty name), look, compare."""
     nominal, measured = generate(CASES[case], seed, folder / case / f"seed{seed}")
     spec, original = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
+    if name == "servo_as_motor" and CASES[case].model not in SERVOS:
+        spec, original = servo_world(case, seed, spec)
     nominal_model = spec.compile()
     if name in MODELS_AT_FAULT:
         faulty, target = faulty_model(spec, original, name, seed), "*"
@@ -331,13 +409,17 @@ def wanted(models: Sequence[str], seeds: Sequence[int], plants: Sequence[str]) -
     for model in models:
         few, weightless = MODEL_ACTUATORS.get(model, 2) < 2, model in LEVEL
         left_out = {*(NEED_TWO if few else ()), *(("gravity_turned",) if weightless else ())}
-        left_out |= {p for p, servos in MODELS_AT_FAULT.items() if servos is not None and servos != (model in SERVOS)}
+        left_out |= {"motor_as_servo"} if model in SERVOS else set() if model in MADE_SERVOS else {"servo_as_motor"}
+        left_out |= set(NEED_HINGE) if model in SLIDE_DRIVEN else set()
         names = [p for p in plants if p and p not in left_out]
         rows += [(c, s, p) for c in BASES[model] for s in seeds for p in names]
     return rows
 
 
 SERVOS = ("servo_arm",)
+MADE_SERVOS = ("reacher", "pusher", "double_pendulum", "inverted_pendulum", "swimmer")
+"""Models whose motors are made servos where servos are to be read as motors; others would fall or hit the ground."""
+SLIDE_DRIVEN = ("inverted_pendulum", "double_pendulum")
 LEVEL = ("reacher", "swimmer")
 """Models that move in a level plane, or in water: gravity does not show."""
 MODEL_ACTUATORS = {"inverted_pendulum": 1, "double_pendulum": 1}

@@ -9,8 +9,7 @@ ANGLES = {
     "degrees taken for rad twice": 180 / np.pi,
     "turns": 2 * np.pi,
     "mrad": 1e-3,
-    "counts of 4096 a turn": 2 * np.pi / 4096,
-}
+} | {f"counts of {2**bits} a turn": 2 * np.pi / 2**bits for bits in (10, 11, 12, 13, 14, 16, 18)}
 """Factor from what a joint's angle may have been written in to rad."""
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2}
