@@ -263,5 +263,10 @@ def handicap(t: Trial) -> float:
 def indistinguishable(state: SearchState, best: Trial, other: Trial) -> bool:
     """Whether the held-out losses of two candidates are so close that the data do not tell them apart."""
     assert best.losses is not None and other.losses is not None, "only refined candidates are compared"
-    _, error = paired_gain(other.losses, best.losses, state.windows.held_out.windows.episode)
-    return abs(other.held_out - best.held_out) <= max(2.0 * error, 0.005 * best.held_out)
+    return no_clear_difference(best.losses, other.losses, state.windows.held_out.windows.episode)
+
+
+def no_clear_difference(best: np.ndarray, other: np.ndarray, episodes: np.ndarray) -> bool:
+    """The same of their losses, (n,), in windows of these episodes, (n,)."""
+    _, error = paired_gain(other, best, episodes)
+    return abs(float(other.mean() - best.mean())) <= max(2.0 * error, 0.005 * float(best.mean()))

@@ -6,6 +6,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.result import Verdict
+from idapt_pl.diagnosis.revision import with_rival
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 
 HARDLY = 0.1
@@ -57,9 +58,11 @@ def separating_recording(context: SearchContext, state: SearchState, effect: Acc
 def predictions_apart(
     context: SearchContext, state: SearchState, effect: AcceptedEffect
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residuals of the fitted windows with an effect, and with the first of its equivalents, (n, rows)."""
+    """Whitened residuals of the fitted windows, (n, rows): with an effect, and with the first of its equivalents.
+
+    Beside the latter the others have the values that were fitted beside it.
+    """
     other = effect.equivalent[0]
-    rest = state.without(effect).effects
-    either = effect.candidate.effect(effect.x), other.candidate.effect(other.x[-1])
-    first, second = (context.whitened(state.windows.fit, (*rest, e)) for e in either)
+    instead = with_rival(state, effect, other.candidate, other.x)
+    first, second = (context.whitened(state.windows.fit, s.effects) for s in (state, instead))
     return first, second

@@ -9,9 +9,11 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.equivalents import fitted_instead, is_accepted
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
 from idapt_pl.diagnosis.probabilities import probabilities
 from idapt_pl.diagnosis.result import Alternative
+from idapt_pl.diagnosis.revision import with_rival
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.trial import Trial
@@ -50,7 +52,7 @@ def remaining_explanations(
 
     Args:
         context: of the search.
-        state: where it ended.
+        state: where it ended, with equivalents as of :func:`with_equivalents_of_now`.
         inseparable: effects found, and what is the same by construction.
     """
     if not state.accepted:
@@ -84,28 +86,23 @@ def explanations_with_rivals(
 
     ``left`` is the mean held-out loss of what was found.
     """
-    equal = [refitted(context, state, effect, t, Standing.EQUIVALENT) for t in effect.equivalent]
-    refused = [t for t in effect.rivals if t not in effect.equivalent and not is_like(t, effect)]
-    behind = [refitted(context, state, effect, t, Standing.RUNNER_UP) for t in refused]
+    equal = [with_trial(context, state, effect, t, Standing.EQUIVALENT) for t in effect.equivalent]
+    refused = [t for t in effect.rivals if not is_accepted(t, state)]
+    fitted = [fitted_instead(context, state, effect, t) for t in refused]
+    behind = [with_trial(context, state, effect, t, Standing.RUNNER_UP) for t in fitted]
     without = float(context.loss(state.windows.held_out, state.without(effect).effects).mean())
     near = [e for e in behind if without - e.value.loss >= NEARLY * (without - left)]
     return equal + sorted(near, key=lambda e: e.value.loss)
 
 
-def is_like(t: Trial, effect: AcceptedEffect) -> bool:
-    """Whether a trial is of the same candidate as an effect."""
-    return (t.candidate.label, t.candidate.names) == (effect.candidate.label, effect.candidate.names)
-
-
-def refitted(
+def with_trial(
     context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial, standing: Standing
 ) -> JudgedExplanation:
-    """The explanation with a trial's candidate in the place of an effect, all its parameters fitted again."""
-    candidates = [trial.candidate if a is effect else a.candidate for a in state.accepted]
-    x = [trial.x[-1] if a is effect else a.x for a in state.accepted]
-    fitted = context.fit(state.windows.screen, state.fixed, candidates, x, 3).x
-    left = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, fitted)))
-    return explanation(context, state.fixed, candidates, fitted, trial.candidate.label, standing, left)
+    """The explanation with a trial's candidate in the place of an effect, as it was fitted there."""
+    assert trial.losses is not None, "what was fitted was judged"
+    other = with_rival(state, effect, trial.candidate, trial.x)
+    label = trial.candidate.label
+    return explanation(context, state.fixed, other.candidates, other.estimates, label, standing, trial.losses)
 
 
 def explanation(

@@ -10,6 +10,7 @@ import numpy as np
 from idapt_pl.diagnosis.advice import next_experiment
 from idapt_pl.diagnosis.black_box import predictable_share
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.equivalents import with_equivalents_of_now
 from idapt_pl.diagnosis.false_discoveries import effect_probabilities
 from idapt_pl.diagnosis.force_windows import judges_forces
 from idapt_pl.diagnosis.remaining import describe_measurement, remaining_explanations
@@ -40,6 +41,7 @@ MOST_CANDIDATES = 200
 
 def summarise_search(context: SearchContext, state: SearchState, trials: Sequence[Trial]) -> DiagnosisResult:
     """Verdict, errors on held-out episodes before and after, effects, rejected candidates, signature, advice."""
+    state = with_equivalents_of_now(context, state)
     nominal, final = (context.whitened(state.windows.held_out, e) for e in (context.declared, state.effects))
     before, after = (float(np.sqrt(robust_loss(z).mean())) for z in (nominal, final))
     removable = predictable_share(context, state.windows, context.declared, nominal)
