@@ -47,6 +47,14 @@ class HeldCommands:
 
         return self._kept.get((on_commands, *at), through_effects)
 
+    def at_samples(self, effects: Sequence[Effect]) -> list[np.ndarray]:
+        """Mean command of the control step that begins at each sample of each recording, (T + 1, nu) each."""
+        out = []
+        for e, r in enumerate(self.data):
+            every = Windows(np.full(len(r.time), e), np.arange(len(r.time)), np.zeros(1, int))
+            out.append(self.averaged(effects, every, 1, float(np.median(np.diff(r.time))))[:, 0])
+        return out
+
     def _average(
         self, effects: Sequence[CommandEffect], columns: Sequence[int], windows: Windows, steps: int, h: float
     ) -> np.ndarray:

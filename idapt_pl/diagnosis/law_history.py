@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.data import Recording, Windows
+from idapt_pl.diagnosis.held_commands import HeldCommands
 from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.learned import JointSignals
@@ -19,20 +20,20 @@ class LawsInWindows:
     Args:
         model: that is simulated.
         recorded: whose coordinates the recordings have; the same, but for play in joints.
-        effects: of which those with laws count.
-        data: the recordings.
+        effects: of which those with laws count, and what others do to commands.
+        commands: of the recordings.
         windows: that begin now.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, recorded: mujoco.MjModel, effects: Sequence[Effect], data: Sequence[Recording],
+        self, model: mujoco.MjModel, recorded: mujoco.MjModel, effects: Sequence[Effect], commands: HeldCommands,
         windows: Windows,
     ) -> None:  # fmt: skip
         self.model, self.acting = model, ActingForces(model, effects)
-        self.began = np.array([data[e].time[0] for e in windows.episode])
+        self.began = np.array([commands.data[e].time[0] for e in windows.episode])
         self.memory = np.zeros((len(windows), 0))
         if self.acting.memories:
-            past = remembered(ActingForces(recorded, effects), data)
+            past = remembered(ActingForces(recorded, effects), commands.data, commands.at_samples(effects))
             self.memory = past[windows.episode, windows.start]
         self.before: list[JointSignals] = []
         self.time = np.zeros(len(windows))
@@ -51,18 +52,21 @@ class LawsInWindows:
         return self.acting.forces(signals, self.memory)
 
 
-def remembered(acting: ActingForces, data: Sequence[Recording]) -> np.ndarray:
+def remembered(acting: ActingForces, data: Sequence[Recording], commands: Sequence[np.ndarray]) -> np.ndarray:
     """What laws remember at every sample of every recording, from what was measured: (recordings, samples, memories).
 
-    All are gone through side by side; the last sample of a shorter one is repeated.
+    All are gone through side by side; the last sample of a shorter one is repeated. ``commands``: as they arrive, of
+    each recording, (T + 1, nu).
     """
     samples = max(len(r) for r in data) + 1
-    time, qpos, qvel, actions = (
+    time, qpos, qvel, arriving = (
         np.stack([x[np.minimum(np.arange(samples), len(x) - 1)] for x in each])
-        for each in zip(*((r.time - r.time[0], r.qpos, r.qvel, r.actions) for r in data), strict=True)
+        for each in zip(
+            *((r.time - r.time[0], r.qpos, r.qvel, u) for r, u in zip(data, commands, strict=True)), strict=True
+        )
     )
     rows = len(data) * samples
-    q, v, u = (x.reshape(rows, x.shape[-1]) for x in (qpos, qvel, actions))
+    q, v, u = (x.reshape(rows, x.shape[-1]) for x in (qpos, qvel, arriving))
     all_samples = MotionNow(q, v, u, np.zeros((rows, acting.model.na)), time.ravel())
     every = [joint_signals(acting.model, j, all_samples, None, None) for _, j in acting.pairs]
     seen = [{name: x.reshape(len(data), samples) for name, x in signals.items()} for signals in every]

@@ -76,13 +76,13 @@ def joint_forecasts(context: SearchContext, state: SearchState) -> list[JointFor
     torque = typical_sizes(sim.model, list(sim.data), context.horizon).torque
     dofs = np.array([v for _, v, _ in joints])
     response = force_response(context, state, split, dofs, PUSH * torque[dofs])
-    seen = measured_signals_of(context, split.windows, [j for j, _, _ in joints])
+    seen = measured_signals_of(context, state.effects, split.windows, [j for j, _, _ in joints])
     return [
         JointForecasts(
             sizes_of(context, j, v),
             float(torque[v]),
             response[:, :, k],
-            partial(term_values, context, split.windows, seen[k]),
+            partial(term_values, context, state.effects, split.windows, seen[k]),
             test,
         )
         for k, (j, v, _) in enumerate(joints)

@@ -10,6 +10,7 @@ from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.law_history import remembered
 from idapt_pl.diagnosis.search_state import SearchState
+from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.diagnosis.whitening import WhitenedWindows, whiten
 from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
 from idapt_pl.effects.expression import parse_expression
@@ -58,17 +59,24 @@ class WindowSignals:
     now: JointSignals
 
 
-def measured_signals_of(context: SearchContext, windows: Windows, joints: list[int]) -> list[WindowSignals]:
-    """JointSignals of some joints, in the middle of each control step: the mean of the samples before and after."""
+def measured_signals_of(
+    context: SearchContext, effects: Effects, windows: Windows, joints: list[int]
+) -> list[WindowSignals]:
+    """JointSignals of some joints, in the middle of each control step: the mean of the samples before and after.
+
+    Commands are as they arrive under these effects, the mean of each control step.
+    """
     sim, m, steps = context.sim, context.sim.model, context.steps
     at = windows.start[:, None] + np.arange(steps + 1)
     take = lambda name: np.stack([getattr(sim.data[e], name)[k] for e, k in zip(windows.episode, at, strict=True)])  # noqa: E731
     qpos, qvel, time = take("qpos"), take("qvel"), take("time")
     began = np.array([sim.data[e].time[0] for e in windows.episode])[:, None]
-    commands = np.stack([sim.data[e].actions[k[:-1]] for e, k in zip(windows.episode, at, strict=True)])
+    commands = sim.commands.averaged(effects, windows, steps, sim.control_period)
+    later = [Windows(windows.episode, windows.start + k, windows.offsets) for k in range(steps)]
+    activation = np.stack([sim.activations.at(commands[:, k], w) for k, w in enumerate(later)], 1)
     flat = lambda x: x.reshape(len(x) * steps, x.shape[-1])  # noqa: E731
     middle = lambda x: flat(0.5 * (x[:, 1:] + x[:, :-1]))  # noqa: E731
-    now = MotionNow(middle(qpos), middle(qvel), flat(commands), np.zeros((len(commands) * steps, m.na)),
+    now = MotionNow(middle(qpos), middle(qvel), flat(commands), flat(activation),
                     middle(time[..., None])[:, 0] - np.repeat(began, steps, 1).ravel())  # fmt: skip
     motor, load = ActingForces(m, []).loads(now)
     return [
@@ -77,14 +85,20 @@ def measured_signals_of(context: SearchContext, windows: Windows, joints: list[i
     ]
 
 
-def term_values(context: SearchContext, windows: Windows, seen: WindowSignals, formula: str) -> np.ndarray:
-    """What a formula without coefficients comes to in every control step of windows, (n, steps)."""
+def term_values(
+    context: SearchContext, effects: Effects, windows: Windows, seen: WindowSignals, formula: str
+) -> np.ndarray:
+    """What a formula without coefficients comes to in every control step of windows, (n, steps).
+
+    ``effects``: of the model so far, of which those on commands count.
+    """
     expression, steps = parse_expression(formula), context.steps
     shape = seen.now["q"].shape
     memory = np.zeros((*shape, 0))
     if expression.memories:
         law = LearnedForce(context.sim.model.joint(seen.joint).name, formula)
-        past = remembered(ActingForces(context.sim.model, [law]), context.sim.data)
+        acting, sim = ActingForces(context.sim.model, [law]), context.sim
+        past = remembered(acting, sim.data, sim.commands.at_samples(effects))
         at = windows.start[:, None] + np.arange(steps + 1)
         samples = past[windows.episode[:, None], at]
         memory = 0.5 * (samples[:, 1:] + samples[:, :-1])

@@ -181,13 +181,13 @@ def largest_and_usual_force(context: SearchContext, state: SearchState, a: Accep
     """The largest force of a law in the fitted windows, and what acts on its joint there usually, N·m or N."""
     model, windows, candidate = context.sim.model, state.windows.fit.windows, a.candidate
     assert isinstance(candidate, LawCandidate), "it is of a law"
-    (seen,) = measured_signals_of(context, windows, [model.joint(candidate.target).id])
+    (seen,) = measured_signals_of(context, state.effects, windows, [model.joint(candidate.target).id])
     values = dict(zip(candidate.names, a.x, strict=True))
     formula = re.sub(r"\b[a-h]\b", lambda letter: f"({values[letter[0]]:.9g})", candidate.formula)
     motor = float(np.sqrt(np.square(seen.now["motor"]).mean()))
     torque = typical_sizes(model, list(context.sim.data), context.horizon).torque
     usual = motor or float(torque[model.joint(candidate.target).dofadr[0]])
-    return float(np.abs(term_values(context, windows, seen, formula)).max()), max(usual, 1e-12)
+    return float(np.abs(term_values(context, state.effects, windows, seen, formula)).max()), max(usual, 1e-12)
 
 
 def depends_on(candidate: LawCandidate) -> tuple[str, ...]:

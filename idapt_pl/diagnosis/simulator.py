@@ -235,9 +235,8 @@ class Simulator:
         forces = [e for e in effects if isinstance(e, ForceEffect)]
         applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states)
         if forces:
-            applied[:, : model.nv] += LawsInWindows(model, self.model, forces, self.data, windows).forces(
-                states, controls
-            )
+            laws = LawsInWindows(model, self.model, effects, self.commands, windows)
+            applied[:, : model.nv] += laws.forces(states, controls)
         lacking, found = np.zeros((len(states), model.nv)), np.zeros((len(states), model.nv))
         for i, state in enumerate(states):
             mujoco.mj_setState(model, data, state, STATE)
@@ -340,7 +339,7 @@ class Simulator:
             spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
             states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
-        laws = LawsInWindows(model, self.model, forces, self.data, windows)
+        laws = LawsInWindows(model, self.model, effects, self.commands, windows)
         hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
         states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):

@@ -1,11 +1,14 @@
 """Laws see commands as they arrive at the motors: the same in replays and in environments."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.data import Windows, as_recordings
+from idapt_pl.diagnosis.law_response import measured_signals_of, term_values
 from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects import Domain
 from idapt_pl.effects.acting import advance
@@ -37,12 +40,17 @@ def played(xml, *effects):
     return Trajectories((Episode(actions, {"qpos": np.array(q), "qvel": np.array(v)}),), SKIP * 0.002)
 
 
-def replayed(xml, seen, *effects):
-    """Angles of the rod in the replay of a diagnosis."""
+def simulator(xml, seen):
     spec = mujoco.MjSpec.from_string(xml)
     data, velocities = as_recordings(spec.copy().compile(), seen)
-    sim = Simulator(spec, data, velocities, threads=1)
-    return sim.predict(effects, Windows(np.zeros(1, int), np.zeros(1, int), np.arange(1, STEPS + 1)))[0][0, :, 0]
+    return Simulator(spec, data, velocities, threads=1)
+
+
+def replayed(xml, seen, *effects):
+    """Angles of the rod in the replay of a diagnosis."""
+    return simulator(xml, seen).predict(effects, Windows(np.zeros(1, int), np.zeros(1, int), np.arange(1, STEPS + 1)))[
+        0
+    ][0, :, 0]
 
 
 @pytest.mark.parametrize("effects", [(), (DELAY,), (LAG,), (DELAY, LAG)], ids=["plain", "delay", "lag", "both"])
@@ -67,3 +75,26 @@ def test_so_does_one_behind_what_the_actuator_does_itself(own):
     xml = ROD.format(own=own).replace("<motor", "<general")
     seen = played(xml, LAW)
     assert seen.episodes[0].observations["qpos"][1:, 0] == pytest.approx(replayed(xml, seen, LAW), abs=1e-3)
+
+
+def proposed(xml, formula, *effects):
+    """What a term is taken to be in the steps of a window before it is simulated, and the commands recorded there."""
+    seen = played(xml, *effects)
+    context = SimpleNamespace(sim=simulator(xml, seen), steps=8)
+    windows = Windows(np.zeros(1, int), np.array([20]), np.array([8]))
+    (signals,) = measured_signals_of(context, effects, windows, [0])
+    return term_values(context, effects, windows, signals, formula)[0], seen.episodes[0].actions[:, 0]
+
+
+def test_terms_are_proposed_by_commands_as_they_arrive():
+    late, u = proposed(ROD.format(own=""), "u", ActuatorDelay("axis", 0.04))
+    assert late == pytest.approx(u[18:26])
+    motor, u = proposed(ROD.format(own=""), "motor", ActuatorDelay("axis", 0.04))
+    assert motor == pytest.approx(u[18:26])
+    slow, u = proposed(ROD.format(own=""), "lowpass(u, 1e-6)", ActuatorDelay("axis", 0.04))
+    assert slow == pytest.approx(0.5 * (u[17:25] + u[18:26]), abs=1e-6)  # at a sample, and in the middle of steps
+
+
+def test_the_force_of_an_actuator_with_a_state_is_seen_too():
+    motor, u = proposed(ROD.format(own='dyntype="integrator"').replace("<motor", "<general"), "motor")
+    assert motor == pytest.approx(0.02 * np.cumsum(np.append(0, u))[20:28], abs=1e-6)

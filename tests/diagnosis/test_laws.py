@@ -120,7 +120,7 @@ def test_a_push_moves_forecasts_as_the_same_force_by_a_law_does():
 def test_what_a_law_remembers_when_a_window_begins_is_what_was_measured_before():
     context, _ = begun(nothing)
     law = LearnedForce("axis", "a*lowpass(u, 0.1)", a=1.0)
-    past = remembered(ActingForces(context.sim.model, [law]), context.sim.data)
+    past = remembered(ActingForces(context.sim.model, [law]), context.sim.data, context.sim.commands.at_samples(()))
     r = context.sim.data[1]
     expected = np.zeros(len(r) + 1)
     for k in range(len(r)):
