@@ -235,7 +235,8 @@ def test_a_robot_is_stopped_while_its_images_are_not_taken(capsys):
     with socket.create_server(("127.0.0.1", 0)) as listening:
         ours, theirs = socket.create_connection(listening.getsockname()), listening.accept()[0]
     with ours, theirs:
-        threading.Thread(target=robot_server.converse, args=(robot, theirs)).start()
+        serving = threading.Thread(target=robot_server.converse, args=(robot, theirs))
+        serving.start()
         ours.sendall(b'{"do": "step", "action": [0.0]}\n')
         deadline = time.monotonic() + 10
         while not robot.stopped and time.monotonic() < deadline:
@@ -244,6 +245,9 @@ def test_a_robot_is_stopped_while_its_images_are_not_taken(capsys):
         with ours.makefile("rb") as stream:
             assert json.loads(stream.readline())["shape"] == [4000, 3000, 3]
             assert len(stream.read(36_000_000)) == 36_000_000, "a network that comes back is gone on with"
+        ours.shutdown(socket.SHUT_RDWR)
+        serving.join(10)
+    assert not serving.is_alive()
     assert "could not be stopped" in capsys.readouterr().out
 
 

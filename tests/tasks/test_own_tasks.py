@@ -356,7 +356,7 @@ def test_the_guides_files_are_a_source_and_a_target_that_suit_each_other(tmp_pat
 def test_the_guides_run_goes_through_every_stage(tmp_path):
     assert "IDAPT, grounding step 1" in typed(tmp_path, "fit", "--shorten")
     (run,) = (tmp_path / "runs").iterdir()
-    assert (run / "report.html").exists() and (run / "step_01/policy/final.ckpt").exists()
+    assert (run / "report.html").exists() and (run / "step_00/policy/final.ckpt").exists()
 
 
 @pytest.mark.usefixtures("own")
