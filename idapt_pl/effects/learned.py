@@ -18,6 +18,15 @@ JointSignals = Mapping[str, np.ndarray]
 """JointSignals of a joint by name (:data:`~idapt_pl.effects.expression.SIGNALS`), (n,) each."""
 
 
+TURNING_FREELY = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL)
+"""Joints without a single angle or velocity that a law could look at."""
+
+
+def acts_otherwise(spec: mujoco.MjSpec) -> bool:
+    """Whether an actuator of a model pulls at a tendon or the like, and so perhaps at joints that it does not name."""
+    return any(a.trntype != mujoco.mjtTrn.mjTRN_JOINT for a in spec.actuators)
+
+
 @dataclass(frozen=True)
 class SignalForce(ForceEffect):
     """A force that may depend on commands, loads, time and what was before, beside position and velocity."""
@@ -43,10 +52,19 @@ class SignalForce(ForceEffect):
         return memory
 
     def apply(self, spec: mujoco.MjSpec) -> None:
+        joints = [j for j in find_joints(spec, self.target) if j.type not in TURNING_FREELY]
+        if not joints:
+            raise ValueError(
+                f"{self.name} on {self.target!r}: a law needs a hinge or a slide, not a free or ball joint"
+            )
         driven = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
-        idle = [j.name for j in find_joints(spec, self.target) if j.name not in driven]
-        if idle and self.signals & {"u"}:
-            raise ValueError(f"{self.name} on {self.target!r} depends on u, but no actuator acts on joint {idle[0]!r}")
+        idle = [j.name for j in joints if j.name not in driven]
+        of_motor = self.signals & ({"u"} if acts_otherwise(spec) else {"u", "motor"})
+        if idle and of_motor:
+            what = " and ".join(sorted(of_motor))
+            raise ValueError(
+                f"{self.name} on {self.target!r} depends on {what}, but no actuator acts on joint {idle[0]!r}"
+            )
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         raise TypeError(f"{self.name} needs more than positions and velocities: use force_from")

@@ -134,5 +134,18 @@ def test_a_law_of_commands_needs_an_actuator_on_its_joint():
     idle = PENDULUM.replace('<motor name="axis" joint="axis" gear="2"/>', "")
     with pytest.raises(ValueError, match="depends on u, but no actuator acts on joint 'axis'"):
         LearnedForce("axis", "a*u", a=1.0).apply(mujoco.MjSpec.from_string(idle))
+    with pytest.raises(ValueError, match="depends on motor, but no actuator acts on joint 'axis'"):
+        LearnedForce("axis", "a*motor*v", a=1.0).apply(mujoco.MjSpec.from_string(idle))
+    tendon = '<tendon><fixed name="t"><joint joint="axis" coef="1"/></fixed></tendon><actuator>'
+    by_tendon = PENDULUM.replace("<actuator>", tendon).replace('joint="axis" gear', 'tendon="t" gear')
+    LearnedForce("axis", "a*motor*v", a=1.0).apply(mujoco.MjSpec.from_string(by_tendon))
     with pytest.raises(ValueError, match="the model has no joint named 'knee'; it has: axis"):
         LearnedForce("knee", "a*v", a=1.0).apply(mujoco.MjSpec.from_string(PENDULUM))
+
+
+@pytest.mark.parametrize("kind", ["free", "ball"])
+@pytest.mark.parametrize("target", ["axis", "*"])
+def test_a_law_needs_a_joint_with_one_angle(kind, target):
+    other = mujoco.MjSpec.from_string(PENDULUM.replace('axis="0 1 0"', f'type="{kind}"'))
+    with pytest.raises(ValueError, match="a law needs a hinge or a slide, not a free or ball joint"):
+        LearnedForce(target, "a*v", a=1.0).apply(other)

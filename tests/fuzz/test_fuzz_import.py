@@ -204,6 +204,7 @@ WRONG_EFFECTS = [
     "[{effect: joint_damping, target: w, parameters: {damping: 1, x: 2}}]", "[{effect: joint_damping, target: w, more: 1}]",
     "[{effect: body_mass, target: w, parameters: {mass: null}}]", "[{effect: light, target: w, parameters: {kind: [1]}}]",
     "[{effect: camera_pose, target: w, parameters: {azimuth: 1, elevation: 1, distance: 1, lookat: 3}}]",
+    "[{effect: learned_force, target: w, parameters: {expression: a*v}}]",
     "[{effect: color, target: w, parameters: {rgba: [1, 2]}}]", "[{effect: color, target: w, parameters: {rgba: [a, b, c, d]}}]",
 ]  # fmt: skip
 
@@ -212,6 +213,24 @@ WRONG_EFFECTS = [
 def test_effects_that_cannot_be_right(text, measured):
     (measured / "effects.yaml").write_text(text)
     assert_refused(diagnose("--effects", "effects.yaml"), measured)
+
+
+@pytest.mark.parametrize(
+    ("changes", "formula", "said"),
+    [
+        ({'<motor name="m" joint="w"/>': ""}, "a*motor", "depends on motor, but no actuator acts on joint 'w'"),
+        ({'<motor name="m" joint="w"/>': ""}, "a*u", "depends on u, but no actuator acts on joint 'w'"),
+        ({'<joint name="w"/>': '<joint name="w" type="free"/>'}, "a*v", "a law needs a hinge or a slide"),
+    ],
+)
+def test_laws_that_could_not_act(changes, formula, said, measured):
+    model = MODEL
+    for old, new in changes.items():
+        model = model.replace(old, new)
+    (measured / "other.xml").write_text(model)
+    parameters = f"parameters: {{expression: {formula}, a: 1.0}}"
+    (measured / "effects.yaml").write_text(f"[{{effect: learned_force, target: w, {parameters}}}]")
+    assert said in assert_refused(diagnose("--effects", "effects.yaml", model="other.xml"), measured)
 
 
 @pytest.mark.parametrize("change", [

@@ -515,6 +515,10 @@ def test_unreadable_models_are_named(content, words, workspace, capsys, tmp_path
         ("- {effect: joint_damping, target: shoulder, parameters: {damping: -1}}", ("entry 0", "-1", "outside")),
         ("- {effect: joint_damping, target: shoulder, parameters: }", ("entry 0", "parameters")),
         ("- {effect: [a], target: shoulder}", ("entry 0", "name")),
+        (
+            "- {effect: learned_force, target: shoulder, parameters: {expression: a*motor, b: 1}}",
+            ("entry 0", "has the coefficients a"),
+        ),
         ("- 3", ("entry 0", "keys")),
     ],
 )  # fmt: skip
