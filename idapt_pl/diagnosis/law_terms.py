@@ -241,8 +241,10 @@ def write_unit(start: dict[str, int], signals: str, hinge: bool, invert: bool) -
         for unit, power in of[signal].items():
             powers[unit] = powers.get(unit, 0) + (-power if invert else power)
     raised = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
-    above = "·".join(u + raised[p] for u, p in powers.items() if p > 0)
-    below = "·".join(u + raised[-p] for u, p in powers.items() if p < 0)
+    power_of = lambda u, p: f"({u}){raised[p]}" if p > 1 and "·" in u else u + raised[p]  # noqa: E731
+    above = "·".join(power_of(u, p) for u, p in powers.items() if p > 0)
+    below = "·".join(power_of(u, -p) for u, p in powers.items() if p < 0)
     if not below:
         return above or "1"
-    return f"{above or '1'}/{below}" if "·" not in below else f"{above or '1'}/({below})"
+    several = sum(p < 0 for p in powers.values()) > 1 or "N·m" in (u for u, p in powers.items() if p == -1)
+    return f"{above or '1'}/({below})" if several else f"{above or '1'}/{below}"

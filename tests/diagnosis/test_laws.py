@@ -137,6 +137,12 @@ def test_terms_are_formulas_of_the_grammar_and_have_units():
     sum_of_two = [Term("A*sin(P*q) + B*cos(P*q)", "", (3.0,), ("/q",)), Term("A*v", "v")]
     assert write_law(sum_of_two) == "a*sin(c*q) + b*cos(c*q) + d*v"
     assert [u for t in sum_of_two for u in term_units(t, True)] == ["N·m", "N·m", "1/rad", "N·m·s/rad"]
+    signals = ("motor motor motor", "motor motor", "motor motor v", "motor v", "load load q")
+    powers = [Term(f"A*{x.replace(' ', '*')}", x) for x in signals]
+    assert [term_units(t, True)[0] for t in powers] == [
+        "1/(N·m)²", "1/(N·m)", "s/(N·m·rad)", "s/rad", "1/(N·m·rad)"
+    ]  # fmt: skip
+    assert term_units(powers[0], hinge=False) == ["1/N²"]
 
 
 def test_no_law_is_what_an_effect_of_the_library_says():
