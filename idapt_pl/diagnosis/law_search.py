@@ -137,7 +137,9 @@ def search_laws(context: SearchContext, state: SearchState) -> LawSearch | None:
         hint = law if k == 0 and law.of_known_parts else hint
         if law.known:
             log.info("what is left looks like %s, which was refused as an effect", law.label)
-            return LawSearch(state, before, others, places, hint=hint)
+            if not laws_of(state):
+                return LawSearch(state, before, others, places, hint=hint)
+            break
         state, others[laws_of(found[0])[-1].candidate.label] = found
         state = retest_numerics(context, refit_accepted(context, renew(context, state)))
         if not explains_too_little(context, state):
