@@ -109,10 +109,10 @@ def refine(
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
-    return replace(t, rejection=objection(context, t, now, first))
+    return replace(t, rejection=objection(context, t, now, first, bool(state.accepted)))
 
 
-def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -> Rejection | None:
+def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float, further: bool) -> Rejection | None:
     """Why a refitted candidate is not accepted, if it is not.
 
     Args:
@@ -120,6 +120,7 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
         t: what became of the candidate.
         now: held-out losses without it, (n,).
         first: mean held-out loss of the model as it was given.
+        further: whether it comes on top of effects that were found.
     """
     because, level = RejectionReason, float(now.mean())
     if text := beyond_its_kind(t.candidate, t.x[-1]):
@@ -127,21 +128,21 @@ def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float) -
     if t.gain - context.settings.sureness * t.gain_error <= 0:
         text = f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
         return Rejection(because.UNSURE_GAIN, text)
-    if text := too_small_a_gain(context, t, level):
+    if text := too_small_a_gain(context, t, level, further):
         return Rejection(because.SMALL_GAIN, text)
-    if t.round and level < 1.05:
+    if further and level < 1.05:
         return Rejection(because.NOISE_FLOOR, "the noise floor is reached without it")
     asked = max(FURTHER_SHARE, SHARE_OF_A_PARAMETER * t.candidate.size)
-    if t.round and t.gain < max(asked * level, 0.08):
+    if further and t.gain < max(asked * level, 0.08):
         removed = f"{100 * t.gain / level:.1f} %"
         text = f"as a further effect it removes {removed} of the held-out error, less than {100 * asked:g} %"
         return Rejection(because.SMALL_GAIN, text)
-    if t.round and t.gain < SLIPS * (first - level):
+    if further and t.gain < SLIPS * (first - level):
         text = (
             "as a further effect it removes no more than what the effects found before may get wrong by a few per cent"
         )
         return Rejection(because.SMALL_GAIN, text)
-    if t.round and too_small_a_change(t.candidate, t.x[-1], t.gain, level):
+    if further and too_small_a_change(t.candidate, t.x[-1], t.gain, level):
         change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
         return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
     if np.median(now) < 1.15 and t.gain < 0.15 * level:
@@ -164,12 +165,12 @@ def too_small_a_change(c: Candidate, x: np.ndarray, gain: float, level: float) -
     return c.change(x) < NOTICEABLE_CHANGE and not explains
 
 
-def too_small_a_gain(context: SearchContext, t: Trial, level: float) -> str:
-    """Why a sure gain is too small, or nothing; ``level``: mean held-out loss without the candidate."""
+def too_small_a_gain(context: SearchContext, t: Trial, level: float, further: bool) -> str:
+    """Why a sure gain is too small, or nothing; ``level``: mean held-out loss without it. Else as of `objection`."""
     s = context.settings
     if t.gain < s.relative_gain * level:
         return f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
-    if not context.sim.velocities and not t.round and t.gain < CLEAR_GAIN * level:
+    if not context.sim.velocities and not further and t.gain < CLEAR_GAIN * level:
         removed = f"{100 * t.gain / level:.0f} %"
         return f"it removes {removed} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
     if t.gain < s.removable_gain * max(level - 1.0, 0.0):

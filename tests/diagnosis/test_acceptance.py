@@ -88,33 +88,41 @@ def test_nothing_is_accepted_where_nothing_passed(state):
 def test_each_objection_has_its_reason(change, level, reason):
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     t = Trial(**{**vars(trial(DAMPING, 1.0)), **change})
-    rejection = objection(context, t, np.full(N, level), level)
+    rejection = objection(context, t, np.full(N, level), level, t.round > 0)
     assert (rejection and rejection.reason) == reason
     assert rejection is None or rejection.text
+
+
+def test_a_first_effect_is_not_asked_what_further_ones_are_however_late_it_comes():
+    """After all that was found before was left out again, the next one is a first effect."""
+    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
+    late = Trial(**{**vars(trial(DAMPING, 1.0, round=5)), "gain": 0.19, "gain_error": 0.001})
+    assert objection(context, late, np.full(N, 4.0), 4.0, further=False) is None
+    assert objection(context, late, np.full(N, 4.0), 4.0, further=True).reason is RejectionReason.SMALL_GAIN
 
 
 def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
-    assert objection(context, at_end, np.full(N, 4.0), 4.0).reason is RejectionReason.BEYOND_SENSORS
+    assert objection(context, at_end, np.full(N, 4.0), 4.0, at_end.round > 0).reason is RejectionReason.BEYOND_SENSORS
 
 
 def test_without_velocities_the_first_effect_must_be_large():
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=False))
     first, later = (trial(DAMPING, 1.0, round=k, gain=0.8) for k in (0, 1))
-    assert objection(context, first, np.full(N, 4.0), 4.0).reason is RejectionReason.SMALL_GAIN
-    assert objection(context, later, np.full(N, 4.0), 4.0) is None
+    assert objection(context, first, np.full(N, 4.0), 4.0, first.round > 0).reason is RejectionReason.SMALL_GAIN
+    assert objection(context, later, np.full(N, 4.0), 4.0, later.round > 0) is None
 
 
 def test_what_machines_do_not_have_is_refused_with_the_reason():
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     tilt = Candidate(GravityDirection, "world", ("tilt_x",), (0.0,), (0.1,), plausible=((-0.26, 0.26),))
     at_end = Trial(tilt, 0, 100.0, (np.array([0.26]),), 1.0, np.ones(N), 3.0, 0.1)
-    rejection = objection(context, at_end, np.full(N, 4.0), 4.0)
+    rejection = objection(context, at_end, np.full(N, 4.0), 4.0, at_end.round > 0)
     assert rejection.reason is RejectionReason.IMPLAUSIBLE
     assert "tilt_x above 0.26 rad is not plausible: machines are set up by eye" in rejection.text
     inside = Trial(tilt, 0, 100.0, (np.array([0.1]),), 1.0, np.ones(N), 3.0, 0.1)
-    assert objection(context, inside, np.full(N, 4.0), 4.0) is None
+    assert objection(context, inside, np.full(N, 4.0), 4.0, inside.round > 0) is None
 
 
 def test_an_end_that_no_simulation_goes_beyond_is_no_objection():
@@ -131,13 +139,13 @@ def test_every_parameter_of_a_further_effect_must_be_worth_something():
     ten = Candidate(BodyInertia, "upper", names, (0.0,) * 10, (0.1,) * 10)
     few = Trial(DAMPING, 1, 100.0, (np.array([0.3]),), 1.0, np.ones(N), 0.5, 0.01)
     many = Trial(ten, 1, 100.0, x, 1.0, np.ones(N), 0.5, 0.01)
-    assert objection(context, few, np.full(N, 4.0), 6.0) is None
-    assert objection(context, many, np.full(N, 4.0), 6.0).reason is RejectionReason.SMALL_GAIN
+    assert objection(context, few, np.full(N, 4.0), 6.0, few.round > 0) is None
+    assert objection(context, many, np.full(N, 4.0), 6.0, many.round > 0).reason is RejectionReason.SMALL_GAIN
 
 
 def test_what_an_effect_found_before_may_get_wrong_is_no_further_effect():
     """Where an effect took 1000 away, a second one of 0.5 may be its own error of two per cent."""
     context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     small = Trial(DAMPING, 1, 100.0, (np.array([0.3]),), 1.0, np.ones(N), 0.5, 0.01)
-    assert objection(context, small, np.full(N, 2.0), 1000.0).reason is RejectionReason.SMALL_GAIN
-    assert objection(context, small, np.full(N, 2.0), 100.0) is None
+    assert objection(context, small, np.full(N, 2.0), 1000.0, small.round > 0).reason is RejectionReason.SMALL_GAIN
+    assert objection(context, small, np.full(N, 2.0), 100.0, small.round > 0) is None
