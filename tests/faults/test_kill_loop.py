@@ -59,6 +59,8 @@ STAGES = {
 }
 """Some that a run must have come through."""
 FEWEST_KILLS = 7
+LONGEST = 1800
+"""Seconds that a tiny run may take beside whatever else there is."""
 UNCOMPARED = ("run.json", "config.yaml", "report.html", "metrics.csv", "hparams.yaml")
 """Files that tell of when and where, or are drawn from others."""
 TIMES = ("wall_s", "checksum")
@@ -135,13 +137,13 @@ def at_work_in(run: Path) -> list[psutil.Process]:
 def test_a_run_killed_at_random_ends_like_one_that_was_not(config, side_by_side, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     began = time.monotonic()
-    assert start(config, whole, False).wait(600) == 0, (tmp_path / "whole.log").read_text()[-2000:]
+    assert start(config, whole, False).wait(LONGEST) == 0, (tmp_path / "whole.log").read_text()[-2000:]
     length, rng, kills = time.monotonic() - began, np.random.default_rng(len(config) + side_by_side), 0
     while True:
         process = start(config, killed, side_by_side)
         try:
             # mostly soon after it has begun anew, so that it takes many kills to get through
-            code = process.wait(rng.uniform(0.05, 0.3) * length if kills < KILLS else 600)
+            code = process.wait(rng.uniform(0.05, 0.3) * length if kills < KILLS else LONGEST)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             process.wait()
