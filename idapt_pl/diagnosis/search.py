@@ -220,7 +220,7 @@ def select_and_revise(
         else:
             progress = add_one_by_one(context, progress, min(most, all_together - len(progress[0].accepted)))
         state, trials = progress
-        if not state.accepted or leads_nowhere(context, state, to_the_end):
+        if not state.accepted or context.hurried or leads_nowhere(context, state, to_the_end):
             break
         if revision and far_from_explained(context, state) and level(context, state) > 0.9 * before:
             return eliminate_needless(context, state), trials  # little came, and reopening what is far takes long
@@ -272,10 +272,13 @@ def explains_forces(context: SearchContext, state: SearchState) -> bool:
 
 
 def search_by_forces(context: SearchContext, progress: Progression) -> Progression:
-    """A search that begins anew with what every joint has, judged by forces; the same where it comes to no better."""
+    """A search that begins anew with what every joint has, judged by forces; the same where it comes to no better.
+
+    A quick look has no time for more than that.
+    """
     old = progress[0]
     begun = begin_with_usual_causes(context, replace(old, accepted=()))
-    state, trials = select_and_revise(context, (begun, ()), FIRST_EFFECTS)
+    state, trials = (begun, ()) if context.hurried else select_and_revise(context, (begun, ()), FIRST_EFFECTS)
     if level(context, replace(state, accepted=old.accepted)) < level(context, state):
         return progress
     return state, trials

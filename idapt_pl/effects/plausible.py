@@ -234,7 +234,7 @@ def with_plausible_ends(c: Candidate, machine: Machine) -> Candidate:
         unit = MEASURES[entry.unit](machine, c, k)
         if np.isfinite(unit) and unit > 0:
             low[k] = max(low[k], min(entry.low * unit, c.nominal[k]))
-            high[k] = min(high[k], max(entry.high * unit, c.nominal[k]))
+            high[k] = max(low[k], min(high[k], max(entry.high * unit, c.nominal[k])))  # a joint at rest has no size
     inside = tuple(s for s in c.starts if (np.asarray(s) > low - 1e-12).all() and (np.asarray(s) < high + 1e-12).all())
     return replace(c, starts=inside, plausible=tuple(zip(low.tolist(), high.tolist(), strict=True)))
 

@@ -138,5 +138,13 @@ def test_places_speeds_and_forces_are_measured_by_the_machine(arm, effect, targe
     assert (low, high) == pytest.approx(expected)
 
 
+def test_a_joint_that_never_moves_keeps_the_bounds_of_its_effects(arm):
+    still = dataclasses.replace(arm, typical=dataclasses.replace(arm.typical, speed=np.array([2.0, 1e-9])))
+    for kind in (EFFECTS["joint_stribeck"], EFFECTS["joint_drag"], EFFECTS["joint_damping"]):
+        for c in kind.candidates(still.model, still.typical):
+            low, high = with_plausible_ends(c, still).bounds()
+            assert (low <= high).all() and (low >= c.bounds()[0]).all() and (high <= c.bounds()[1]).all()
+
+
 def test_effects_that_are_not_in_the_table_may_be_anything():
     assert plausible_range("somebody_elses", "strength", 0.0) is None
