@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -20,6 +21,8 @@ from idapt_pl.excitation.limits import MotionLimits
 from idapt_pl.excitation.plan import MotionPlan
 from idapt_pl.excitation.rivals import Rival
 from idapt_pl.report.plots import NOISE, STYLE, escape_mathtext
+
+log = logging.getLogger(__name__)
 
 RIVAL_COLOURS = ("#1f77b4", "#d1495b", "#2f7d3b", "#b07d12", "#7b4ea3", "#5a5a5a")
 """Of explanations and of pairs, over and over."""
@@ -116,7 +119,8 @@ def motion_clip(design: MotionDesign, forecaster: MotionForecaster) -> bytes | N
     try:
         with mujoco.Renderer(model, CLIP_SIZE, CLIP_SIZE) as renderer:
             frames = [frame_of(renderer, model, data, q) for q in seen.qpos[0, ::step]]
-    except Exception:  # what a machine without GL does can be anything, and the motion does not need its picture
+    except Exception as error:  # without GL it can be anything, and the motion does not need its picture
+        log.warning("no clip of the motion, as it could not be drawn: %s", error or type(error).__name__)
         return None
     buffer = io.BytesIO()
     iio.imwrite(buffer, np.stack(frames), extension=".gif", duration=1000 * step * forecaster.dt, loop=0)

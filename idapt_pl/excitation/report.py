@@ -63,6 +63,8 @@ def write_motion(
     write_bytes(html, page.encode())
     if clip:
         write_bytes(gif, clip)
+    else:
+        gif.unlink(missing_ok=True)  # it would show another motion
     write_json(as_json, entry)
     return entry
 

@@ -78,11 +78,15 @@ def standing_in_words(rival: Rival) -> str:
 
 
 def inseparable_groups(design: MotionDesign, rivals: Sequence[Rival]) -> list[list[str]]:
-    """Names of explanations that no safe motion found tells from each other, each group with at least two."""
-    group = list(range(len(rivals)))
-    for (a, b), best in zip(combinations(range(len(rivals)), 2), design.reachable, strict=True):
-        if best < SEPARATED:
-            old, new = group[b], group[a]
-            group = [new if g == old else g for g in group]
-    members = [[r.name for r, g in zip(rivals, group, strict=True) if g == k] for k in np.unique(group)]
-    return [m for m in members if len(m) > 1]
+    """Names of explanations of which no safe motion found tells any two apart, each group with at least two.
+
+    One may be in several groups: where A is like B and B like C, A and C may well be told apart.
+    """
+    pairs = combinations(range(len(rivals)), 2)
+    alike = {pair for pair, best in zip(pairs, design.reachable, strict=True) if best < SEPARATED}
+    largest = list[tuple[int, ...]]()
+    for size in range(len(rivals), 1, -1):
+        for g in combinations(range(len(rivals)), size):
+            if alike.issuperset(combinations(g, 2)) and not any(set(g) < set(other) for other in largest):
+                largest.append(g)
+    return [[rivals[k].name for k in g] for g in sorted(largest)]

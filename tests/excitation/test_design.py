@@ -1,6 +1,7 @@
 """The search finds safe motions, the same ones for the same seed, or says why there are none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -48,6 +49,15 @@ def test_twins_are_said_to_be_inseparable():
     assert motion_in_words(design, rivals, Goal.SEPARATE)[0].startswith("No safe motion found tells offset")
     assert inseparable_groups(design, rivals) == [[r.name for r in rivals]]
     assert motion_headline(design, Goal.SEPARATE).startswith("No safe motion")
+
+
+def test_only_those_are_a_group_of_which_no_two_are_told_apart():
+    names = [SimpleNamespace(name=n) for n in "abcd"]
+    apart = dict(ab=1.0, ac=9.0, ad=9.0, bc=1.0, bd=9.0, cd=9.0)
+    reachable = lambda **changed: SimpleNamespace(reachable=np.array(list((apart | changed).values())))  # noqa: E731
+    assert inseparable_groups(reachable(), names) == [["a", "b"], ["b", "c"]]
+    assert inseparable_groups(reachable(ac=1.0), names) == [["a", "b", "c"]]
+    assert inseparable_groups(reachable(ab=9.0, bc=9.0), names) == []
 
 
 def test_estimates_get_narrower_with_the_room_there_is():

@@ -3,9 +3,10 @@
 import csv
 import json
 
+import imageio.v3
 import numpy as np
 import pytest
-from arms import DAMPING, FRICTION, report_folder
+from arms import DAMPING, FRICTION, SERVO, report_folder
 
 from cli.excite import read_spans
 from cli.main import main
@@ -77,6 +78,23 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(written, capsys, options
     error = capsys.readouterr().err
     assert said in error and error.startswith("idapt excite: ") and error.count("\n") == 1
     assert before == {p.name: p.read_bytes() for p in written.glob("next.*")}
+
+
+def test_a_model_with_a_camera_has_a_clip_and_an_old_one_goes_where_none_can_be_drawn(tmp_path, monkeypatch, caplog):
+    camera = '<worldbody><camera pos="0 -2 0.5" xyaxes="1 0 0 0 0 1"/>'
+    report_folder(tmp_path, DAMPING, FRICTION, xml=SERVO.replace("<worldbody>", camera))
+    assert excite(tmp_path) == 0
+    clip = imageio.v3.imread(tmp_path / "next.gif")
+    assert clip.shape[1:3] == (240, 240) and np.ptp(clip[0]) > 0 and not np.array_equal(clip[0], clip[len(clip) // 2])
+    assert "data:image/gif" in (tmp_path / "next.html").read_text()
+
+    def no_gl(*size):
+        raise RuntimeError("no GL here")
+
+    monkeypatch.setattr("mujoco.Renderer", no_gl)
+    assert excite(tmp_path) == 0
+    assert not (tmp_path / "next.gif").exists() and "no GL here" in caplog.text
+    assert "data:image/gif" not in (tmp_path / "next.html").read_text()
 
 
 def test_a_report_with_one_explanation_is_good_for_estimates_alone(tmp_path, capsys):
