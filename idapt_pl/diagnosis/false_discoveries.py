@@ -10,12 +10,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from idapt_pl.diagnosis.explanation import Explanation, Standing
+from idapt_pl.diagnosis.probabilities import NEVER_SURE
 
 Key = tuple[str, str]
 """Effect and target."""
 
 STAND_IN = 1 / 3
 """Probability that an effect is but a stand-in for what is missing, if something else is."""
+
+SUREST = 1 - STAND_IN * NEVER_SURE
+"""The largest probability of an effect: nobody can rule out that something else is missing."""
 
 OUTSIDE_LIBRARY = 0.5
 """Factor for laws and the like, which stand in for whatever is missing where no known effect does."""

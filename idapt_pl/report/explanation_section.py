@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from idapt_pl.diagnosis.explanation import Explanation, Standing
+from idapt_pl.diagnosis.false_discoveries import SUREST
 from idapt_pl.diagnosis.result import DiagnosisResult, ErrorTable
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, row, section, table
@@ -60,8 +61,12 @@ def not_named_sentences(result: DiagnosisResult) -> list[str]:
     if not result.not_named:
         return []
     told = all_of([f"{phrase_at(*e.key)} ({e.probability:.0%} probable)" for e in result.not_named])
-    rate = f"{result.false_discovery_rate:.2g}"
-    return [f"Not named, as more than {rate} of what is named would be expected to be false with it: {told}."]
+    asked = result.false_discovery_rate or 0.0
+    told = f"Not named, as more than {asked:.2g} of what is named would be expected to be false with it: {told}."
+    if asked >= 1 - SUREST:
+        return [told]
+    never = f"At a rate below {1 - SUREST:.2g} nothing is ever named: no effect is more probable than {SUREST:.3g}."
+    return [told, never]
 
 
 def something_else(explanations: Sequence[Explanation]) -> float:

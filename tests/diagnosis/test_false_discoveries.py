@@ -10,13 +10,14 @@ from arm import ARM, found, record
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.diagnosis.claims import claim, without_laws_on
+from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.claims import claim, without_changes_of, without_laws_on
 from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
 from idapt_pl.diagnosis.false_discoveries import effect_probabilities, nameable
-from idapt_pl.diagnosis.law_result import LawFinding, LawReport
+from idapt_pl.diagnosis.law_result import LawFinding, LawReport, NetworkFinding
 from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
-from idapt_pl.effects.learned import LearnedForce
+from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
 
 DAMPING, FRICTION = JointDamping("shoulder", 0.2), JointFrictionloss("shoulder", 0.2)
 ARMATURE, LAW = JointArmature("elbow", 0.01), LearnedForce("elbow", "-a * v", 0.1)
@@ -99,6 +100,26 @@ def test_what_is_doubtful_is_told_and_not_in_the_model(two_found):
     assert claimed.report["explanations"] == two_found.report["explanations"]
 
 
+def test_a_black_box_is_named_by_the_same_rate(two_found):
+    box = ResidualNetwork("elbow", "v", (1.0,), (0.0,) * 4, 0.1)
+    laws = LawReport(3.0, 1.0, [], NetworkFinding("elbow", ("v",), 0.5), (), (), "", 2.0)
+    state = replace(two_found.state, fixed=(*two_found.state.fixed, box))
+    given = replace(two_found, state=state, effects=state.effects, result=replace(two_found.result, laws=laws))
+    claimed = claim(doubting(given, shoulder=0.99, elbow=0.99), 0.05)
+    assert [e.key for e in claimed.result.not_named] == [("residual_network", "elbow")]
+    assert box not in claimed.effects and claimed.result.laws.network is None
+    assert [e.name for e in claimed.effects] == [e.name for e in two_found.effects]
+
+
+def test_changes_of_what_is_not_named_go_too():
+    change = dict(parameter="damping", unit="", kind="drift_over", first=0.1, last=0.2, at=None, episode=None, p=0.001,
+                  removed_share=0.5, series=())  # fmt: skip
+    found = [ChangeFinding("joint_damping", joint, **change) for joint in ("shoulder", "elbow")]
+    left = without_changes_of(ChangeReport(4, found), {("joint_damping", "elbow")})
+    assert left.tested == 4 and [f.target for f in left.found] == ["shoulder"]
+    assert without_changes_of(None, set()) is None
+
+
 def test_where_nothing_is_sure_something_is_missing_all_the_same(two_found):
     claimed = claim(doubting(two_found, shoulder=0.6, elbow=0.6), 0.05)
     assert claimed.verdict is Verdict.UNEXPLAINED_RESIDUAL and not claimed.effects
@@ -114,6 +135,7 @@ def test_the_command_names_by_rate_and_says_what_it_left_out(tmp_path, capsys):
     assert main(["diagnose", *options, "--quick", "--threads", "1", "--fdr", "0.0001"]) == 0
     report, told = json.loads((out / "report.json").read_text()), capsys.readouterr().out
     assert report["effects"] == [] and report["not_named"][0]["effect"] == "joint_damping"
+    assert "At a rate below 0.017 nothing is ever named" in told.replace("\n", " ")
     assert "Not named, as more than 0.0001" in told and "probable)" in told
     assert "Not named" in (out / "report.html").read_text()
     patched = mujoco.MjModel.from_xml_path(str(out / "patched.xml"))
