@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import mujoco
 import numpy as np
-from tables import read_rows, write_rows
+from benchmarks.tables import read_rows, write_rows
 from tqdm import tqdm
 
 from benchmarks.undeclared.cases import CASES, Case
