@@ -186,7 +186,9 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
     if not context.settings.thorough:
         begun = add_effects(context, (retest_numerics(context, state), ()))
-        state, trials = by_forces_if_need_be(context, begun, lambda p: add_effects(context, p, to_the_end=True))
+        state, trials = by_forces_if_need_be(
+            context, begun, lambda p: p if context.hurried else add_effects(context, p, to_the_end=True)
+        )
         return keep_sure(context, eliminate_needless(context, state)), trials
     begun = select_and_revise(context, (retest_numerics(context, state), ()))
     state, trials = by_forces_if_need_be(context, begun, lambda p: select_and_revise(context, p, to_the_end=True))
