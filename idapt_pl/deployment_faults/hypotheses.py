@@ -28,6 +28,9 @@ CLEARLY_MORE = 1.5
 """An order is tried if commands make so many times more of the motion in it."""
 
 
+NO_GAIN = 5.0
+"""A factor of commands beyond this, or its inverse, is no matter of a motor's strength."""
+
 LEAST_GRAVITY = 0.1
 """m/s²; with less, nothing can be said of its direction."""
 
@@ -81,6 +84,17 @@ def command_units(mend: Mend, model: mujoco.MjModel, measured: dict[int, float])
     for i, units in known.items():
         if near := nearest_unit(measured[i], units):
             yield Hypothesis(f"unit of command {name_of(model, i)} ({near[0]})", mend.scaled_command(i, near[1]))
+    yield from plain_factors(mend, model, {i: f for i, f in measured.items() if not nearest_unit(f, known[i])})
+
+
+def plain_factors(mend: Mend, model: mujoco.MjModel, measured: dict[int, float]) -> Iterator[Hypothesis]:
+    """Factors of commands that are of no unit, such as a gear's, and too far from 1 to be a motor's gain."""
+    far = {i: float(f"{f:.2g}") for i, f in measured.items() if abs(np.log(f)) > np.log(NO_GAIN)}
+    common = float(f"{np.median(list(far.values())):.2g}") if far else 1.0
+    if len(far) == model.nu > 1 and all(abs(np.log(f / common)) < np.log(UNIT_TOLERANCE) for f in far.values()):
+        yield Hypothesis("unit of all commands (a factor)", scaled_all(mend, dict.fromkeys(far, common)))
+    for i, factor in far.items():
+        yield Hypothesis(f"unit of command {name_of(model, i)} (a factor)", mend.scaled_command(i, factor))
 
 
 def strongest_commands(found: Influence) -> list[int]:

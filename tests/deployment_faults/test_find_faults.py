@@ -53,6 +53,16 @@ def joints_in_degrees(q, v, u):
     v *= DEGREES
 
 
+def elbow_in_degrees(q, v, u):
+    q[:, 2] *= DEGREES
+    v[:, 2] *= DEGREES
+
+
+def joints_in_counts(q, v, u):
+    q *= 16384 / (2 * np.pi)
+    v *= 16384 / (2 * np.pi)
+
+
 def swap_joints(q, v, u):
     q[:] = q[:, [0, 2, 1]].copy()
     v[:] = v[:, [0, 2, 1]].copy()
@@ -97,6 +107,8 @@ def nothing(q, v, u):
 PLANTED = [
     (turn_elbow, 1.0, FaultKind.JOINT_SIGN, ("elbow",), -1.0),
     (joints_in_degrees, 1.0, FaultKind.JOINT_UNIT, ("yaw", "shoulder", "elbow"), 1 / DEGREES),
+    (elbow_in_degrees, 1.0, FaultKind.JOINT_UNIT, ("elbow",), 1 / DEGREES),
+    (joints_in_counts, 1.0, FaultKind.JOINT_UNIT, ("yaw", "shoulder", "elbow"), round(2 * np.pi / 16384, 9)),
     (swap_joints, 1.0, FaultKind.JOINT_ORDER, ("shoulder", "elbow"), ("elbow", "shoulder")),
     (velocities_in_degrees, 1.0, FaultKind.VELOCITY_UNIT, ("yaw", "shoulder", "elbow"), 1 / DEGREES),
     (turn_velocity, 1.0, FaultKind.VELOCITY_SIGN, ("shoulder",), -1.0),
@@ -129,6 +141,27 @@ def test_a_planted_fault_is_found_alone_and_taken_out(servo, edit, dt, kind, tar
         np.testing.assert_allclose(e.actions, o.actions[first:last], atol=1e-5)
         np.testing.assert_allclose(e.observations["qpos"], o.observations["qpos"][first : last + 1], atol=1e-9)
         np.testing.assert_allclose(e.observations["qvel"], o.observations["qvel"][first : last + 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("gear", [50.0, 1 / 20])
+def test_a_factor_of_no_unit_is_found_in_commands(gear, tmp_path):
+    """As of torques in front of a gear; the pendulum has friction that the model lacks."""
+    model, data = recorded("pendulum_frictionloss", tmp_path)
+
+    def in_front(q, v, u):
+        u /= gear
+
+    (fault,) = find_deployment_faults(model, edited(data, in_front)).faults
+    assert fault.kind is FaultKind.COMMAND_UNIT and fault.estimate == pytest.approx(gear, rel=0.1)
+
+
+def test_a_gain_of_a_motor_is_no_unit(tmp_path):
+    model, data = recorded("pendulum_frictionloss", tmp_path)
+
+    def weaker(q, v, u):
+        u *= 3
+
+    assert not find_deployment_faults(model, edited(data, weaker)).faults
 
 
 @pytest.mark.parametrize("case", ["control_servo_fine", "servo_gripper_mass", "cheetah_delay", "control_servo_quiet"])
