@@ -54,7 +54,7 @@ QUICK_SETTINGS = SearchSettings(
     max_effects=2, scout_windows=20, screened=8, screen_windows=40, confirm=4, refined=2, fit_windows=80,
     held_out_windows=120, seconds=20.0, thorough=False,
 )  # fmt: skip
-"""For a first answer: in about twenty seconds of small machines, in a minute of an arm with seven joints."""
+"""For a first answer: about twenty seconds for small machines, one to two minutes for arms of six or seven joints."""
 
 NOT_TRIED_QUICKLY = (
     "more than two effects", "early choices once more", "causes that are not plausible",
