@@ -162,6 +162,8 @@ REACH_THE_TARGET: dict[tuple[str, str], str] = {
     ("idapt_pl/tasks/task.py", ".domains()"): "a task finds its domains by name",
     ("cli/evaluate.py", "rewarded_target"): EVALUATION,
     ("cli/check.py", "RecordedTarget"): "shows a person the first frame of a recording",
+    ("cli/check.py", "RobotTarget"): "tells how long a control step took, where it is a robot's",
+    ("idapt_pl/targets/recording_check.py", "RecordedTarget"): "looks for black images before a run",
     ("cli/check.py", "blind_target"): "shows a person what source and target show",
     ("cli/gallery.py", "target_domain"): "only its name, beside a picture",
     ("cli/collect.py", "BlindTarget"): "hides states and rewards of a recorded target",
