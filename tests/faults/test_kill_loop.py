@@ -54,7 +54,7 @@ RUNS = {
 STAGES = {
     "pendulum_quick": {"looks", "effects", "student", "dynamics"},
     "cheetah_quick": {"rehearsal_teacher", "filter_policy", "reading_errors", "labelled"},
-    "cheetah_hard": {"replayed", "known_start_search", "teacher_trials", "trial_rehearsal", "hardened_filter_policy"},
+    "cheetah_hard": {"replayed", "known_start_search", "trial_rehearsal", "hardened_filter_policy"},
     "pendulum_hard": {"convergence", "dynamics", "selection"},
 }
 """Some that a run must have come through."""
