@@ -253,18 +253,35 @@ def by_forces_if_need_be(
 ) -> Progression:
     """A search that begins anew, judged by forces, where noise is no yardstick or forces contradict what was found.
 
-    Where these come to little either, the search by forecasts goes on: the wrong first choice may still be revised.
+    Where these come to little either, the search by forecasts goes on: the wrong first choice may still be revised. So
+    it does where what they explain forecasts worse than the model as it was: friction that is taken for weight does.
     """
     if contradicts_forces(context, progress[0]):
         log.info("what was found leaves more force unexplained than the model as it was: forces judge")
         anew = search_by_forces(context, progress)
-        if explains_forces(context, anew[0]):
+        if explains_forces(context, anew[0]) and not forecasts_worse(context, progress[0], anew[0]):
             return anew
         progress = go_on(progress)
     if not beyond_noise(context, progress[0]):
         return progress
     state, trials = search_by_forces(context, progress)
+    if forecasts_worse(context, progress[0], state):
+        return progress
     return judge_by_noise(context, state), trials
+
+
+def forecasts_worse(context: SearchContext, yardstick: SearchState, found: SearchState) -> bool:
+    """Whether what was found by forces forecasts worse than the model as it was given.
+
+    Args:
+        context: of the search.
+        yardstick: its windows are judged by forecasts.
+        found: judged by forces.
+    """
+    by_forecasts = level(context, replace(yardstick, accepted=found.accepted))
+    if worse := by_forecasts > level(context, replace(yardstick, accepted=())):
+        log.info("what forces explain forecasts worse than the model as it was: forecasts judge")
+    return worse
 
 
 def explains_forces(context: SearchContext, state: SearchState) -> bool:

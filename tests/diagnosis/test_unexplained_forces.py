@@ -10,7 +10,7 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose, search_by_forces
+from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose, forecasts_worse, search_by_forces
 from idapt_pl.diagnosis.search_state import AcceptedEffect
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
 from idapt_pl.diagnosis.unexplained_forces import beyond_noise, contradicts_forces, unexplained_forces
@@ -191,3 +191,20 @@ def test_an_answer_that_contradicts_forces_gives_way_to_the_usual_causes(noisier
     assert {"joint_damping(shoulder)", "joint_frictionloss(shoulder)"} <= {c.label for c in after.candidates}
     rotors = [a.x[0] for a in after.accepted if a.candidate.kind is JointArmature]
     assert all(x < 1.0 for x in rotors)
+
+
+def test_an_answer_by_forces_that_forecasts_worse_than_nothing_gives_way(monkeypatch):
+    """As where friction that goes with the direction of motion is taken for a weight that is not there."""
+    kinds = ["joint_damping", "joint_armature"]
+    context, state = begin_search(
+        spec_of(), recorded(noise=5e-4), declared=TRUE, threads=1, settings=QUICK, candidates=kinds
+    )
+    (nominal,) = (c.nominal[0] for c in context.candidates if c.label == "joint_armature(elbow)")
+    absurd, harmless = (naming(context, state, JointArmature("elbow", x)) for x in (10.0, nominal))
+    assert forecasts_worse(context, state, absurd) and not forecasts_worse(context, state, harmless)
+    monkeypatch.setattr("idapt_pl.diagnosis.search.contradicts_forces", lambda *a: True)
+    monkeypatch.setattr("idapt_pl.diagnosis.search.explains_forces", lambda *a: True)
+    for found, kept in ((harmless, True), (absurd, False)):
+        monkeypatch.setattr("idapt_pl.diagnosis.search.search_by_forces", lambda *a, found=found: (found, ()))
+        after, _ = by_forces_if_need_be(context, (state, ()), lambda progress: progress)
+        assert (after is found) == kept and (after is state) != kept
