@@ -48,8 +48,9 @@ def mend_urdf(root: ET.Element, folder: Path, looks: bool = False) -> list[str]:
     name_the_world(root)
     check_links(root)
     compiler_of(root).set("strippath", "false")
-    seen = keep_looks(root, folder) if looks else drop_looks(root, folder)
-    return [*seen, *drop_shapes(root, folder), *mend_inertials(root)]
+    seen = drop_unreadable(root, folder, "visual", "it is not seen") if looks else drop_looks(root, folder)
+    touching = drop_unreadable(root, folder, "collision", "it touches nothing with it")
+    return [*seen, *touching, *mend_inertials(root)]
 
 
 def prepare_urdf(root: ET.Element, folder: Path) -> list[str]:
@@ -128,25 +129,14 @@ def drop_looks(root: ET.Element, folder: Path) -> list[str]:
     return [f"{len(set(unseen))} visual meshes are not there ({name_list(unseen)}): a diagnosis does not need them"]
 
 
-def keep_looks(root: ET.Element, folder: Path) -> list[str]:
-    """Keep what is only seen, but for meshes that cannot be read; a sentence for each of these."""
+def drop_unreadable(root: ET.Element, folder: Path, kind: str, consequence: str) -> list[str]:
+    """Leave out shapes of a kind (``visual`` or ``collision``) whose mesh cannot be read; a sentence for each."""
     notes = []
     for link in root.findall("link"):
-        for visual in link.findall("visual"):
-            if problem := mesh_problem(visual, folder):
-                notes.append(f"link {link.get('name')}: its visual {problem}: it is not seen")
-                link.remove(visual)
-    return list(dict.fromkeys(notes))
-
-
-def drop_shapes(root: ET.Element, folder: Path) -> list[str]:
-    """Leave out collision meshes that cannot be read; a sentence for each."""
-    notes = []
-    for link in root.findall("link"):
-        for collision in link.findall("collision"):
-            if problem := mesh_problem(collision, folder):
-                notes.append(f"link {link.get('name')}: its collision {problem}: it touches nothing with it")
-                link.remove(collision)
+        for shape in link.findall(kind):
+            if problem := mesh_problem(shape, folder):
+                notes.append(f"link {link.get('name')}: its {kind} {problem}: {consequence}")
+                link.remove(shape)
     return list(dict.fromkeys(notes))
 
 
