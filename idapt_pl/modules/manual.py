@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from idapt_pl.cores import at_once
+from idapt_pl.modules.lean_adam import LeanAdam
 
 Made = TypeVar("Made")
 Losses: TypeAlias = tuple[Made, dict[str, Tensor]]
@@ -55,7 +56,8 @@ class ManualModule(L.LightningModule):
 
     def step(self, optimizer: torch.optim.Optimizer) -> None:
         """A step of an optimizer whose parameters have gradients."""
-        (getattr(optimizer, "optimizer", optimizer) if self.plain else optimizer).step()
+        plain = getattr(optimizer, "optimizer", optimizer) if self.plain else optimizer
+        plain.update() if isinstance(plain, LeanAdam) else plain.step()
 
     def descend_each(
         self, optimizer: torch.optim.Optimizer, makers: Sequence[Callable[[], Losses]], bf16: bool = False

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from idapt_pl.losses import sac_target
 from idapt_pl.modules.actor_critic import Actor, TwinCritic
+from idapt_pl.modules.lean_adam import LeanAdam
 from idapt_pl.modules.manual import ManualModule
 from idapt_pl.modules.observation_noise import NoObservationNoise
 from idapt_pl.modules.sac_gradients import actor_gradients, critic_gradients
@@ -157,7 +158,7 @@ class SAC(ManualModule, ABC):
         if self.hparams.learn_temperature:
             actor = [*actor, self.log_alpha]
         groups = (self.critic.parameters(), actor)
-        optimizers = [torch.optim.Adam(g, lr=self.hparams.lr, fused=True) for g in groups]
+        optimizers = [LeanAdam(g, lr=self.hparams.lr, fused=True) for g in groups]
         return optimizers, [torch.optim.lr_scheduler.LambdaLR(o, self.linear_decay) for o in optimizers]
 
     def linear_decay(self, step: int) -> float:
