@@ -17,7 +17,7 @@ from idapt_pl.diagnosis.noise import Noise, estimate_noise
 from idapt_pl.diagnosis.search_state import SearchState, first_state
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.effects.base import Effect
+from idapt_pl.effects.base import EFFECTS, Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointBacklash
 
@@ -98,11 +98,12 @@ def choose_candidates(found: Sequence[Candidate], names: Sequence[str] | None) -
     """The candidates with these effect names (all for None).
 
     Raises:
-        ValueError: no candidate has such a name; it says which there are.
+        ValueError: no candidate has such a name, or the effect has nothing to act on; it says which there are.
     """
     if names is None:
         return list(found)
     known = sorted({c.kind.name for c in found})
     if unknown := sorted(set(names) - set(known)):
-        raise ValueError(f"unknown candidate {unknown[0]!r}; this model has: {', '.join(known)}")
+        what = "nothing for" if unknown[0] in EFFECTS else "unknown candidate"
+        raise ValueError(f"{what} {unknown[0]!r}; this model has: {', '.join(known)}")
     return [c for c in found if c.kind.name in names]

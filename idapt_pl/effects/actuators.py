@@ -255,9 +255,14 @@ class ActuatorRotation(CommandEffect):
 
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
-        """Of each actuator and the next one."""
+        """Of each actuator and the next one, unless both turn hinges.
+
+        These are turned by crossed wires alone, a quarter of a turn or half of one, which is a deployment fault.
+        """
+        hinge = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        hinge[hinge] = model.jnt_type[model.actuator_trnid[hinge, 0]] == mujoco.mjtJoint.mjJNT_HINGE
         names = [model.actuator(i).name for i in range(model.nu)]
-        pairs = [f"{one} {other}" for one, other in pairwise(names)]
+        pairs = [f"{names[i]} {names[k]}" for i, k in pairwise(range(model.nu)) if not (hinge[i] and hinge[k])]
         return [Candidate(cls, pair, ("angle",), (0.0,), (0.3,), starts=((1.57,),)) for pair in pairs]
 
 

@@ -20,6 +20,7 @@ from idapt_pl.effects.actuators import (
     MotorResistance,
 )
 from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
+from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.contacts import ContactFriction, ContactSoftness
 from idapt_pl.effects.joints import (
     JointArmature,
@@ -529,3 +530,18 @@ def test_what_mjcf_cannot_say_of_a_dcmotor_is_not_written_into_its_other_numbers
     for effect in (ActuatorBias("*", 0.1), ActuatorKv("*", 0.3)):
         after = compiled(effect).actuator("dc")
         assert after.biasprm.tolist() == nominal.actuator("dc").biasprm.tolist()
+
+
+def test_commands_of_two_hinges_are_not_turned():
+    """What crosses their wires is a deployment fault; another angle is nothing that a machine can do."""
+    joints = ('type="hinge" axis="0 1 0"', 'type="hinge" axis="0 1 0"', 'type="slide"')
+    bodies = "".join(
+        f'<body name="b{i}"><joint name="j{i}" {how}/><geom size="0.1"/></body>' for i, how in enumerate(joints)
+    )
+    motors = "".join(f'<motor name="m{i}" joint="j{i}"/>' for i in range(3))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody>{bodies}<site name="hand"/></worldbody>'
+        f'<actuator>{motors}<motor name="m3" site="hand"/></actuator></mujoco>'
+    )
+    every = TypicalSizes(0.01, *(np.ones(3) for _ in range(4)), np.ones(4), np.ones(4), 0.2)
+    assert [c.target for c in ActuatorRotation.candidates(model, every)] == ["m1 m2", "m2 m3"]
