@@ -48,6 +48,7 @@ from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, verdict_in_words
 from idapt_pl.report.explanation_section import not_named_sentences, probability_sentences
 from idapt_pl.report.law_section import law_sentences
+from idapt_pl.report.split_section import split_sentences
 
 if TYPE_CHECKING:
     from idapt_pl.image_diagnosis import ImageDiagnosis
@@ -62,6 +63,7 @@ EXAMPLES = """examples:
   idapt diagnose --model robot.urdf --actuators position:kp=30,kv=1 --data measured.h5 --out diagnosis
   idapt diagnose --model nominal.xml --data measured.h5 --out friction \\
       --candidates joint_damping joint_frictionloss joint_stribeck
+  idapt diagnose --model nominal.xml --data measured.h5 --out steady --splits
   idapt diagnose --run runs/inverted_pendulum_hard_0 --data images.h5 --out seen \\
       --candidates body_mass joint_damping actuator_gain
 
@@ -112,6 +114,12 @@ def command_line() -> argparse.ArgumentParser:
     p.add_argument(
         "--hold-out", type=int, nargs="+", metavar="EPISODE", help="episodes to judge on (default: every fourth)"
     )
+    add_search_options(p)
+    return p
+
+
+def add_search_options(p: argparse.ArgumentParser) -> None:
+    """What is looked for, and how hard."""
     p.add_argument(
         "--candidates",
         nargs="+",
@@ -131,10 +139,15 @@ def command_line() -> argparse.ArgumentParser:
         metavar="RATE",
         help="name only effects of which at most this share is expected to be false",
     )
+    p.add_argument(
+        "--splits",
+        action="store_true",
+        help="search again with each other quarter of the episodes held out, and tell how often each effect is chosen "
+        "(four times as long)",
+    )
     p.add_argument("--no-laws", action="store_true", help="look for no law of force where much stays unexplained")
     p.add_argument("--seed", type=int, default=0, help="of the choice of windows")
     p.add_argument("--threads", type=int, default=None, help="for simulating; all cores if not given")
-    return p
 
 
 def main(args: list[str]) -> int:
@@ -159,6 +172,10 @@ def main(args: list[str]) -> int:
         p.error("--fdr is for recordings of positions: give --model")
     if o.quick and o.run is not None:
         p.error("--quick is for recordings of positions: give --model")
+    if o.splits and (o.run is not None or o.quick):
+        p.error("--splits searches recordings of positions again: give --model, and not --quick")
+    if o.splits and (o.fit or o.hold_out):
+        p.error("--splits holds out each quarter of the episodes in turn: not with --fit or --hold-out")
     if o.run is not None and (o.only or o.without or o.actuators or len(o.data) > 1):
         p.error("--only, --without, --actuators and several files are for recordings of positions: give --model")
     if o.run is None:
@@ -221,6 +238,7 @@ def more_sentences(result: DiagnosisResult) -> list[str]:
     told = [*probability_sentences(result.explanations, result.error), *not_named_sentences(result)]
     if result.not_tried:
         told.append(f"A quick look. Not tried: {', '.join(result.not_tried)}. For these run it without --quick.")
+    told += split_sentences(result.splits)
     return [*told, *change_sentences(result.changes), *law_sentences(result.laws)]
 
 

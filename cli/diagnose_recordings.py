@@ -27,6 +27,7 @@ from idapt_pl.diagnosis.data import UnusableData
 from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
 from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS, SearchSettings
+from idapt_pl.diagnosis.splits import with_splits
 from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
@@ -107,6 +108,7 @@ def search_settings(o: argparse.Namespace) -> SearchSettings:
 
 def finish(found: Diagnosis, o: argparse.Namespace) -> Diagnosis:
     """Look for laws, once pushes are left out, which must not be taken for laws; then name what is sure enough."""
+    found = with_splits(found) if o.splits else found
     found = found if o.no_laws or o.quick else with_laws(found)
     return found if o.fdr is None else claim(found, o.fdr)
 

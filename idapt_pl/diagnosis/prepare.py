@@ -29,14 +29,23 @@ def begin_search(
     threads: int | None = None, unmeasured: Sequence[str] = (), noise: Noise | None = None,
 ) -> tuple[SearchContext, SearchState]:  # fmt: skip
     """A search that has not looked for anything yet. Arguments as for :func:`~idapt_pl.diagnosis.diagnose`."""
-    model, declared = name_elements(model.copy()), tuple(declared)
+    model = name_elements(model.copy())
     data, velocities = as_recordings(model.copy().compile(), trajectories, may_lag=noise is None)
     splits = split_episodes(activity(data), fit, hold_out, usable_episodes(data))
     sim = Simulator(model, data, velocities, threads, unmeasured)
+    return begin_with(sim, declared, splits, candidates, seed, settings, progress, noise)
+
+
+def begin_with(
+    sim: Simulator, declared: Sequence[Effect], splits: tuple[np.ndarray, np.ndarray],
+    candidates: Sequence[str] | None, seed: int, settings: SearchSettings, progress: Progress, noise: Noise | None,
+) -> tuple[SearchContext, SearchState]:  # fmt: skip
+    """The same of a simulator, and of episodes to fit and to judge on."""
+    declared = tuple(declared)
     probe = noise_windows(sim, splits[0], seed)
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
-    sizes = typical_sizes(sim.model, data, steps * sim.control_period)
+    sizes = typical_sizes(sim.model, sim.data, steps * sim.control_period)
     begin = sim.spec_with([e for e in declared if not isinstance(e, JointBacklash)])  # that adds joints
     unlimited = choose_candidates(all_candidates(begin, sizes), candidates)
     considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
@@ -80,8 +89,7 @@ def split_episodes(
     elif fit is not None:
         judged = np.setdiff1d(every, fit)
     else:
-        calmest = every[np.argsort(lively[every], kind="stable")]
-        judged = np.sort(calmest[len(every) // 2 % 4 :: 4])
+        judged = next(iter(quarters(lively, every)), np.zeros(0, int))
     fitted = np.setdiff1d(every, judged) if fit is None else np.asarray(fit, int)
     if both := np.intersect1d(fitted, judged).tolist():
         raise ValueError(f"episodes {both} are both to be fitted and held out")
@@ -92,6 +100,21 @@ def split_episodes(
             "two are needed"
         )
     return fitted, judged
+
+
+def quarters(lively: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
+    """Parts of the episodes that may be held out in turn, each with calm and lively ones; the first is the default.
+
+    Args:
+        lively: of each episode, as of :func:`activity`.
+        usable: numbers of those that are long enough and not left out.
+
+    Returns:
+        Numbers of episodes: four parts that share none, or fewer where there are fewer than four episodes.
+    """
+    calmest = usable[np.argsort(lively[usable], kind="stable")]
+    parts = [np.sort(calmest[(len(usable) // 2 + k) % 4 :: 4]) for k in range(4)]
+    return [part for part in parts if len(part)]
 
 
 def choose_candidates(found: Sequence[Candidate], names: Sequence[str] | None) -> list[Candidate]:

@@ -16,6 +16,7 @@ from idapt_pl.effects.base import Effect
 if TYPE_CHECKING:
     from idapt_pl.diagnosis.changes import ChangeReport
     from idapt_pl.diagnosis.law_result import LawReport
+    from idapt_pl.diagnosis.split_report import SplitReport
 
 
 class Verdict(StrEnum):
@@ -297,6 +298,7 @@ class DiagnosisResult:
         not_tried: what a quick look left out, in words.
         false_discovery_rate: share of false ones among the effects that the user bears; None if none was set.
         not_named: effects that are not probable enough for it.
+        splits: how often each effect is chosen as other episodes are held out; None where that was not asked for.
         mending: the command that takes out deployment faults which were left in the recordings; empty where none were.
     """
 
@@ -317,6 +319,7 @@ class DiagnosisResult:
     not_tried: Sequence[str] = ()
     false_discovery_rate: float | None = None
     not_named: Sequence[EffectEstimate] = ()
+    splits: SplitReport | None = None
     mending: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -335,7 +338,7 @@ class DiagnosisResult:
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
             **({"not_tried": list(self.not_tried)} if self.not_tried else {}),
             **self._rate(),
-            **{name: r.to_dict() for name in ("laws", "changes") if (r := getattr(self, name)) is not None},
+            **{name: r.to_dict() for name in ("laws", "changes", "splits") if (r := getattr(self, name)) is not None},
         }
 
     def _rate(self) -> dict[str, Any]:

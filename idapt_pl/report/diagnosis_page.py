@@ -22,6 +22,7 @@ from idapt_pl.report.law_section import law_section
 from idapt_pl.report.minute_section import minute_section
 from idapt_pl.report.next_steps import linked_name, next_steps_section
 from idapt_pl.report.plots import STYLE, svg
+from idapt_pl.report.split_section import split_section
 
 SHOWN_ROWS = 25
 """Ranked candidates that are not folded away."""
@@ -57,6 +58,7 @@ def diagnosis_page(
         *notes,
         effects_section(result, model),
         explanation_section(result.explanations, result.error),
+        split_section(result.splits),
         settings,
         next_steps_section(result.effects, result.next_experiment),
         change_section(result.changes),

@@ -22,6 +22,7 @@ ORDER = (
     "replayed",
     "state_predictor",
     "source_teacher",
+    "source_teacher_success",
     "source_student",
     "source_start",
     "source_rehearsal_teacher",

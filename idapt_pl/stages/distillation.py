@@ -24,6 +24,7 @@ from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import noisy_return
+from idapt_pl.rl.returns import evaluate
 from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages
 from idapt_pl.stages.aside import Aside, in_turn
@@ -31,6 +32,9 @@ from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
+
+OFTEN_ENOUGH = 0.5
+"""Share of the source's episodes in which a teacher must reach the goal, or another one is trained."""
 
 TRIALS = 20
 """Episodes by which teachers are compared."""
@@ -62,6 +66,8 @@ class TeacherSettings:
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
+        attempts: teachers of the plain source that are trained at most, one after another with other random numbers,
+            until one reaches the goal in half of its episodes there. Of tasks whose metric is success.
     """
 
     steps: int = 0
@@ -75,6 +81,7 @@ class TeacherSettings:
     updates_per_step: float = 1.0
     harden: int = 0
     candidates: int = 1
+    attempts: int = 3
 
     def __post_init__(self) -> None:
         ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden"), COUNT_OR_NONE)
@@ -84,7 +91,8 @@ class TeacherSettings:
             vars(self),
             ranges
             | errors
-            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]"), "candidates": Range(1, 100)},
+            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]")}
+            | dict.fromkeys(("candidates", "attempts"), Range(1, 100)),
         )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
@@ -244,18 +252,45 @@ class Distillation:
         def make(device: torch.device) -> VectorEnv:
             return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
-        count = self.settings.candidates if F is None and not fresh else 1
-        names = [name, *(f"{name}_{i}" for i in range(2, count + 1))]
-
         def train(n: str) -> StateSAC:
             return fit_expert(build_expert, make, recipe, self.stages, step, n, fresh)
 
+        if fresh:
+            self.expert = self.first_to_succeed(step, name, train)
+        else:
+            self.expert = self.best_of_several(step, name, train, self.settings.candidates if F is None else 1)
+        self._dynamics, self._first = dynamics, self._first or self.expert
+        return self.expert
+
+    def first_to_succeed(self, step: int, name: str, train: Callable[[str], StateSAC]) -> StateSAC:
+        """A teacher that reaches the task's goal in the source, or the best of all attempts."""
+        trained, rates = [train(name)], []
+        if self.worlds.task.metric != "success" or self.settings.attempts == 1:
+            return trained[0]
+        while True:
+            rates.append(self.success(step, numbered(f"{name}_success", len(trained)), trained[-1]))
+            if rates[-1] >= OFTEN_ENOUGH or len(trained) == self.settings.attempts:
+                return trained[int(np.argmax(rates))]
+            log.info("step %d  the teacher reaches the goal in %.0f %% of its episodes in the source: another one is "
+                     "trained", step, 100 * rates[-1])  # fmt: skip
+            trained.append(train(numbered(name, len(trained) + 1)))
+
+    def success(self, step: int, name: str, teacher: StateSAC) -> float:
+        """Share of the source's episodes in which a teacher reaches the goal."""
+
+        def make(seed: int) -> dict:
+            with closing(self.worlds.training_states(TRIALS)) as env:
+                return {"success": evaluate(env, lambda seen: teacher.act(seen, deterministic=True), TRIALS, seed).mean}
+
+        return float(self.stages.measure(step, name, make)["success"])
+
+    def best_of_several(self, step: int, name: str, train: Callable[[str], StateSAC], count: int) -> StateSAC:
+        """The best in the source of so many teachers that are trained beside one another."""
+        names = [numbered(name, i) for i in range(1, count + 1)]
         checkpoints = {n: self.stages.folder(step) / n / "final.ckpt" for n in names[1:]}
         others = [self.aside(f"{n}_of_step_{step}", last, partial(train, n)) for n, last in checkpoints.items()]
         trained = [train(name), *(trained_aside() for trained_aside in others)]
-        self.expert = trained[self.best_of(step, name, trained)]
-        self._dynamics, self._first = dynamics, self._first or self.expert
-        return self.expert
+        return trained[self.best_of(step, name, trained)]
 
     def recipe(self, F: ActionTransformation | None, gamma: float, steps: int) -> ExpertRecipe:
         """The task's, with the student's discount; behind an F it counts the student's simulations."""
@@ -304,6 +339,11 @@ class Distillation:
                 0, "source_teacher", build, lambda device: self.worlds.training_source(self.num_envs), None
             )
         return self._first
+
+
+def numbered(name: str, i: int) -> str:
+    """The name of the i-th stage of those that are alike, from 1."""
+    return name if i == 1 else f"{name}_{i}"
 
 
 @torch.no_grad()

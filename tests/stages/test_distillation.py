@@ -277,6 +277,33 @@ def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_repaired_sou
     assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
 
 
+@pytest.mark.parametrize(("reached", "stages"), [(True, 1), (False, 3)])
+def test_a_teacher_that_never_reaches_the_goal_in_the_source_is_tried_again(
+    teaching, tmp_path, monkeypatch, reached, stages
+):
+    kind = type(teaching.worlds.task)
+    monkeypatch.setattr(kind, "metric", "success")
+    monkeypatch.setattr(kind, "success", lambda self, model, data: reached)
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    rates = [json.loads(p.read_text())["success"] for p in sorted(tmp_path.rglob("source_teacher_success*.json"))]
+    assert rates == [float(reached)] * stages
+    assert len(list(tmp_path.rglob("source_teacher*/final.ckpt"))) == stages
+
+
+def test_of_several_attempts_the_one_that_succeeds_goes_on(teaching, tmp_path, monkeypatch):
+    kind = type(teaching.worlds.task)
+    monkeypatch.setattr(kind, "metric", "success")
+    monkeypatch.setattr(kind, "success", lambda self, model, data: False)
+    told = iter([0.1, 0.6])
+    monkeypatch.setattr(Distillation, "success", lambda self, step, name, teacher: next(told))
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    kept = checkpoint(tmp_path, "step_00/source_teacher_2")
+    assert not (tmp_path / "step_00/source_teacher_3").exists()
+    assert all(torch.equal(v, kept[k]) for k, v in teaching.expert.state_dict().items())
+
+
 def test_teachers_beside_the_first_one_are_the_same(teaching, tmp_path):
     """Those set aside begin before the first one, end in files of their own and are asked for after it."""
     teaching.settings = replace(teaching.settings, candidates=3)
