@@ -14,7 +14,7 @@ from dm_control import suite
 from dm_control.mujoco import Physics
 from dm_control.mujoco.wrapper import MjModel
 
-from idapt_pl.tasks.environment_task import WITHOUT_LIMIT, EnvironmentTask, changed_by, check_actuated, options_of
+from idapt_pl.tasks.environment_task import WITHOUT_LIMIT, EnvironmentTask, check_actuated, check_one_model, options_of
 from idapt_pl.tasks.told_motion import flat_state
 
 KEPT_MODELS = 8
@@ -47,11 +47,7 @@ class DMControlTask(EnvironmentTask):
         nominal = self.load().compile()
         for _ in range(2):
             env.reset()
-        if changed := changed_by(nominal, model):
-            raise ValueError(
-                f"{name} changes its model where an episode begins ({', '.join(changed)}), but a domain has one model. "
-                "Write a task of your own, with that in its state (docs/guide/own_robot.md)"
-            )
+        check_one_model(name, nominal, model)
         self.look_into_states()
 
     def load(self) -> mujoco.MjSpec:

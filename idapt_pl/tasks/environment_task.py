@@ -126,6 +126,19 @@ def check_actuated(name: str, low: np.ndarray, high: np.ndarray, model: mujoco.M
         raise ValueError(f"actions of {name} are {low} to {high}, commands {ranges[:, 0]} to {ranges[:, 1]}. {cure}")
 
 
+def check_one_model(name: str, nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """The model of an environment that has begun some episodes must be as it was before.
+
+    Raises:
+        ValueError: if it is not.
+    """
+    if changed := changed_by(nominal, model):
+        raise ValueError(
+            f"{name} changes its model where an episode begins ({', '.join(changed)}), but a domain has one model. "
+            "Write a task of your own, with that in its state (docs/guide/own_robot.md)"
+        )
+
+
 def changed_by(before: mujoco.MjModel, after: mujoco.MjModel) -> list[str]:
     """Fields of a model, other than sizes of buffers, that an environment has changed."""
     changed = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,12 +14,63 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from datamodules.users_error import UsersError
 from idapt_pl.effects.visual import CAMERA, CameraPose
-from idapt_pl.tasks.environment_task import WITHOUT_LIMIT, EnvironmentTask, changed_by, check_actuated, options_of
+from idapt_pl.tasks.environment_task import (
+    WITHOUT_LIMIT,
+    EnvironmentTask,
+    changed_by,
+    check_actuated,
+    check_one_model,
+    options_of,
+)
 from idapt_pl.tasks.told_motion import flat_state
+from idapt_pl.tasks.users_code import whole
 
 USUAL_CAMERA = "track"
 """The camera that Gymnasium looks through if there is one."""
+
+
+@dataclass(frozen=True)
+class ActionScale:
+    """How an environment that scales its actions makes commands of them: its bounds are the ends of actuators' ranges.
+
+    Attributes:
+        low: lower bounds of its actions, (nu,).
+        high: upper bounds.
+        ranges: of the actuators, (nu, 2).
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    ranges: np.ndarray
+
+    @classmethod
+    def of(cls, env: Any) -> ActionScale | None:
+        """The scale of an environment; None where actions are commands already, or become commands in other ways."""
+        low, high, ranges = env.action_space.low, env.action_space.high, env.model.actuator_ctrlrange.copy()
+        scale = cls(low.astype(float), high.astype(float), ranges)
+        if len(low) != len(ranges) or not env.model.actuator_ctrllimited.all() or not np.isfinite([low, high]).all():
+            return None
+        if np.allclose(low, ranges[:, 0]) and np.allclose(high, ranges[:, 1]):
+            return None
+        rng = np.random.default_rng(0)
+        for _ in range(PROBES):  # whatever it was before
+            env.reset(seed=0)
+            commands = rng.uniform(ranges[:, 0], ranges[:, 1])
+            env.step(scale.to_environment(commands))
+            if not np.allclose(env.data.ctrl, commands, atol=1e-5 * np.ptp(ranges, axis=1).max()):
+                return None
+        return scale
+
+    def to_environment(self, commands: np.ndarray) -> np.ndarray:
+        """Actions of the environment for commands (nu,) of the actuators."""
+        share = (np.asarray(commands) - self.ranges[:, 0]) / np.ptp(self.ranges, axis=1)
+        return (self.low + share * (self.high - self.low)).astype(np.float32)
+
+
+PROBES = 3
+"""Random commands by which an environment shows how it scales its actions."""
 
 
 class GymnasiumTask(EnvironmentTask):
@@ -32,7 +84,9 @@ class GymnasiumTask(EnvironmentTask):
         options: of :class:`EnvironmentTask`; all others go to :func:`gymnasium.make`.
 
     Raises:
-        ValueError: if there is no such environment, or it is not one of MuJoCo's whose actions are its actuators'.
+        ValueError: if there is no such environment, it is not one of MuJoCo's whose actions are its actuators', or it
+            changes its model.
+        UsersError: if its own code fails.
     """
 
     def __init__(self, env_id: str, **options: Any) -> None:
@@ -41,6 +95,8 @@ class GymnasiumTask(EnvironmentTask):
             made = gymnasium.make(env_id, **options)
         except (gymnasium.error.Error, TypeError, ImportError) as error:
             raise ValueError(f"task {name}: gymnasium.make says: {error}") from error
+        except Exception:  # packages of environments that do not go with this MuJoCo fail in many ways
+            raise UsersError(whole(f"task {name}: the environment fails with MuJoCo {mujoco.__version__}")) from None
         env: Any = made.unwrapped
         if not isinstance(getattr(env, "model", None), mujoco.MjModel) or not hasattr(env, "reset_model"):
             raise ValueError(
@@ -52,12 +108,18 @@ class GymnasiumTask(EnvironmentTask):
         self._outcomes: WeakKeyDictionary[mujoco.MjData, tuple[float, bool]] = WeakKeyDictionary()
         limit = made.spec.max_episode_steps if made.spec and made.spec.max_episode_steps else WITHOUT_LIMIT
         super().__init__(name, env.frame_skip, limit, **own)
-        check_actuated(name, env.action_space.low, env.action_space.high, env.model)
-        if changed := changed_by(self.load().compile(), env.model):
+        nominal = self.load().compile()
+        if changed := changed_by(nominal, env.model):
             raise ValueError(
                 f"{name} changes its model after it has read {self._file}: {', '.join(changed)}. A domain begins with "
                 "the file. Write a task of your own that makes these changes in `base`"
             )
+        self._scale = ActionScale.of(env)
+        if self._scale is None:
+            check_actuated(name, env.action_space.low, env.action_space.high, env.model)
+        for _ in range(2):
+            env.reset()
+        check_one_model(name, nominal, env.model)
         self.look_into_states()
 
     def load(self) -> mujoco.MjSpec:
@@ -88,7 +150,8 @@ class GymnasiumTask(EnvironmentTask):
 
     def play(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> None:
         with self._lent(model, data) as env:
-            _, reward, over, _, _ = env.step(np.asarray(action))
+            own = np.asarray(action) if self._scale is None else self._scale.to_environment(action)
+            _, reward, over, _, _ = env.step(own)
         self._outcomes[data] = float(reward), bool(over)
 
     def outcome(self, model: mujoco.MjModel, data: mujoco.MjData, action: np.ndarray) -> tuple[float, bool]:
@@ -99,9 +162,24 @@ class GymnasiumTask(EnvironmentTask):
         """The simulation's copy of the environment, for as long as it may have model and data."""
         env = self._copies.get(data)
         if env is None:
-            env = self._copies[data] = copy.copy(self._env)
+            env = self._copies[data] = twin_of(self._env)
         env.model, env.data = model, data
         try:
             yield env
         finally:
             env.model = env.data = None  # what remembers the data would keep them for ever
+
+
+LENT = ("model", "data", "mujoco_renderer")
+"""What a copy of an environment does not need of its own."""
+
+
+def twin_of(env: Any) -> Any:
+    """An environment with a memory of its own, made by none of its code: copying Gymnasium's would make them anew."""
+    twin = object.__new__(type(env))
+    for name, value in vars(env).items():
+        try:
+            twin.__dict__[name] = value if name in LENT else copy.deepcopy(value)
+        except Exception:  # what cannot be copied is shared, as a viewer is
+            twin.__dict__[name] = value
+    return twin
