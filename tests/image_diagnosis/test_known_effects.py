@@ -1,8 +1,10 @@
 """What recordings of joints told of a robot goes into the source of a run: `effects.known`."""
 
 import re
+from contextlib import closing
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 
@@ -42,6 +44,21 @@ def test_a_run_begins_with_what_a_diagnosis_wrote(tmp_path, tiny_args):
     model = run.worlds.source_domain.compile()
     assert model.body("pole").mass[0] == pytest.approx(9.0) and model.joint("hinge").frictionloss[0] == 0.4
     assert run.worlds.target_domain.compile().body("pole").mass[0] == pytest.approx(200.0)
+
+
+def test_a_law_that_was_learned_pushes_in_the_source_of_a_run(tmp_path, tiny_args):
+    """MJCF has no words for it: it acts at every physics step, in the environments that policies train in."""
+    law = {"effect": "learned_force", "target": "hinge", "parameters": {"expression": "a * cos(q)", "a": 3.0}}
+    told = written(tmp_path, [law])
+    ends = []
+    for name, more in (("with", {"effects__known": told}), ("without", {})):
+        run = GroundingCLI(tiny_args(tmp_path / name, **more), shows_bars=False).run()
+        with closing(run.worlds.training_states(1)) as env:
+            env.reset(seed=0)
+            for _ in range(5):
+                observed = env.step(np.zeros((1, 1)))[0]
+            ends.append(observed["state"][0])
+    assert ends[0][1] > ends[1][1] + 0.01, "the pole is pushed towards positive angles"
 
 
 def test_a_run_without_has_its_task_s_source(tmp_path, tiny_args):
