@@ -74,7 +74,7 @@ def signals_of(model: mujoco.MjModel, data: Trajectories) -> list[Signals]:
         qpos, qvel = measured_signals(model, f"episode_{i}", e)
         time = data.dt * np.arange(len(e) + 1) if e.timestamps is None else e.timestamps
         qpos = np.asarray(qpos, float)
-        velocities = slopes(model, time, qpos, 0.0) if qvel is None else np.asarray(qvel, float)
+        velocities = slopes(model, time, qpos, 1) if qvel is None else np.asarray(qvel, float)
         made.append(Signals(np.asarray(time, float), qpos, velocities, np.asarray(e.actions, float)))
     return made
 

@@ -185,11 +185,9 @@ def lateness(shown: list[Recording], sloped: list[Recording]) -> float:
     return lag if explained > 0.25 else 0.0
 
 
-def slopes(
-    model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, half_width: float = SLOPE_HALF_WIDTH
-) -> np.ndarray:
-    """Velocities as central slopes of the positions over about ``half_width`` seconds to either side, (T+1, nv)."""
-    reach = max(1, round(half_width / float(np.median(np.diff(time)))))
+def slopes(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, reach: int | None = None) -> np.ndarray:
+    """Velocities as slopes of the positions over ``reach`` samples (:func:`slope_reach`) to each side, (T+1, nv)."""
+    reach = slope_reach(time) if reach is None else reach
     index = np.arange(len(time))
     before, after = np.maximum(index - reach, 0), np.minimum(index + reach, len(time) - 1)
     step = (time[after] - time[before])[:, None]
@@ -199,6 +197,11 @@ def slopes(
     for k, (b, a) in enumerate(zip(before, after, strict=True)):
         mujoco.mj_differentiatePos(model, out[k], step[k, 0], qpos[b], qpos[a])
     return out
+
+
+def slope_reach(time: np.ndarray) -> int:
+    """Samples to either side of one that its slope is taken over: about :data:`SLOPE_HALF_WIDTH`, and at least one."""
+    return max(1, round(SLOPE_HALF_WIDTH / float(np.median(np.diff(time)))))
 
 
 def position_difference(model: mujoco.MjModel, qpos: np.ndarray, other: np.ndarray) -> np.ndarray:

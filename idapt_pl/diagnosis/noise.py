@@ -8,12 +8,16 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from idapt_pl.diagnosis.data import SLOPE_HALF_WIDTH, Recording, Windows, position_difference, slopes
+from idapt_pl.diagnosis.data import Recording, Windows, position_difference, slope_reach, slopes
 from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.estimation.robust import robust_deviation
 
 LEAST_OF_KIND = 0.5
 """Share of the median noise of sensors of its kind that a sensor has at least."""
+
+UNMEASURED = (3.0, 10.0)
+"""Velocities that nobody measured are taken to be so many times less sure than slopes of positions: for the positions'
+noise, which is in what is compared, too, and for the motion's bending. Taken at their word slopes mislead."""
 
 PRIOR_WEIGHT = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
@@ -84,7 +88,7 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     sigma = np.clip(shrink_to_kind(sim.model, np.sqrt(fit_variances(A, residual))), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
-    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], bent=0.0))
+    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], *UNMEASURED))
     return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
 
 
@@ -105,22 +109,24 @@ def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
     return out
 
 
-def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
+def slope_noise(
+    model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, noisy: float = 1.0, bent: float = 1.0
+) -> np.ndarray:
     """Standard deviation of velocities that are slopes of positions, (nv,).
 
     Args:
         model: the model.
         data: recordings.
         sensors: noise of the positions, (nv,).
+        noisy: weight of what that does to a slope.
         bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
     """
     narrow, wide = (
-        np.concatenate([slopes(model, r.time, r.qpos, w) for r in data])
-        for w in (SLOPE_HALF_WIDTH, 2 * SLOPE_HALF_WIDTH)
+        np.concatenate([slopes(model, r.time, r.qpos, wider * slope_reach(r.time)) for r in data]) for wider in (1, 2)
     )
     dt = float(np.median(np.diff(data[0].time)))
-    random = 2**0.5 * sensors / (2 * dt * max(1, round(SLOPE_HALF_WIDTH / dt)))
-    return np.hypot(random, bent * robust_deviation(narrow - wide) / 3)
+    random = 2**0.5 * sensors / (2 * dt * slope_reach(data[0].time))
+    return np.hypot(noisy * random, bent * robust_deviation(narrow - wide) / 3)
 
 
 def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
