@@ -15,9 +15,9 @@ from idapt_pl.estimation.robust import robust_deviation
 LEAST_OF_KIND = 0.5
 """Share of the median noise of sensors of its kind that a sensor has at least."""
 
-UNMEASURED = (3.0, 10.0)
-"""Velocities that nobody measured are taken to be so many times less sure than slopes of positions: for the positions'
-noise, which is in what is compared, too, and for the motion's bending. Taken at their word slopes mislead."""
+BENT = 3.0
+"""Where velocities were not measured, windows begin with slopes of positions. What the motion's bending does to a slope is
+taken for so many times what it is: it is no noise, but goes with what the machine does, as a wrong mass does."""
 
 PRIOR_WEIGHT = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
@@ -88,7 +88,7 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     sigma = np.clip(shrink_to_kind(sim.model, np.sqrt(fit_variances(A, residual))), low, np.maximum(limit, low))
     if sim.velocities:
         return Noise(sigma, sigma)
-    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], *UNMEASURED))
+    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], BENT))
     return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
 
 
@@ -109,16 +109,13 @@ def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
     return out
 
 
-def slope_noise(
-    model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, noisy: float = 1.0, bent: float = 1.0
-) -> np.ndarray:
+def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
     """Standard deviation of velocities that are slopes of positions, (nv,).
 
     Args:
         model: the model.
         data: recordings.
         sensors: noise of the positions, (nv,).
-        noisy: weight of what that does to a slope.
         bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
     """
     narrow, wide = (
@@ -126,7 +123,7 @@ def slope_noise(
     )
     dt = float(np.median(np.diff(data[0].time)))
     random = 2**0.5 * sensors / (2 * dt * slope_reach(data[0].time))
-    return np.hypot(noisy * random, bent * robust_deviation(narrow - wide) / 3)
+    return np.hypot(random, bent * robust_deviation(narrow - wide) / 3)
 
 
 def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
