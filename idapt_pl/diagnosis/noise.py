@@ -16,8 +16,9 @@ LEAST_OF_KIND = 0.5
 """Share of the median noise of sensors of its kind that a sensor has at least."""
 
 BENT = 3.0
-"""Where velocities were not measured, windows begin with slopes of positions. What the motion's bending does to a slope is
-taken for so many times what it is: it is no noise, but goes with what the machine does, as a wrong mass does."""
+"""How many times what the motion's bending does to a slope counts, where windows begin with slopes of positions.
+
+It is no noise: it goes with what the machine does, as a wrong mass does."""
 
 PRIOR_WEIGHT = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
