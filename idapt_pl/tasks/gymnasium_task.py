@@ -114,11 +114,14 @@ class GymnasiumTask(EnvironmentTask):
                 f"{name} changes its model after it has read {self._file}: {', '.join(changed)}. A domain begins with "
                 "the file. Write a task of your own that makes these changes in `base`"
             )
-        self._scale = ActionScale.of(env)
+        try:
+            self._scale = ActionScale.of(env)
+            for _ in range(2):
+                env.reset()
+        except Exception:
+            raise UsersError(whole(f"task {name}: the environment fails where it is tried")) from None
         if self._scale is None:
             check_actuated(name, env.action_space.low, env.action_space.high, env.model)
-        for _ in range(2):
-            env.reset()
         check_one_model(name, nominal, env.model)
         self.look_into_states()
 

@@ -38,12 +38,17 @@ class Failing(InvertedPendulumEnv):
         raise AssertionError
 
 
+class Falling(Scaled):
+    def reset_model(self):
+        raise RuntimeError("no floor")
+
+
 @pytest.fixture(autouse=True, scope="module")
 def registered():
-    for kind in (Scaled, Shuffled, Failing):
+    for kind in (Scaled, Shuffled, Failing, Falling):
         gymnasium.register(f"{kind.__name__}-v0", kind, max_episode_steps=100)
     yield
-    for kind in (Scaled, Shuffled, Failing):
+    for kind in (Scaled, Shuffled, Failing, Falling):
         gymnasium.registry.pop(f"{kind.__name__}-v0")
 
 
@@ -79,3 +84,8 @@ def test_an_environment_that_fails_says_where_and_with_which_mujoco():
     with pytest.raises(UsersError, match=rf"(?s)Failing-v0: the environment fails with MuJoCo {mujoco.__version__}.*"
                                          r"test_gymnasium_task.py.*AssertionError"):  # fmt: skip
         make_task("gymnasium:Failing-v0")
+
+
+def test_an_environment_that_fails_when_it_is_tried_shows_its_own_error():
+    with pytest.raises(UsersError, match=r"(?s)Falling-v0: the environment fails where it is tried.*no floor"):
+        make_task("gymnasium:Falling-v0")
