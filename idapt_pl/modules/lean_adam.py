@@ -15,12 +15,12 @@ class LeanAdam(torch.optim.Adam):
     @torch.no_grad()
     def update(self) -> None:
         """What :meth:`step` does to parameters and state, bit for bit; hooks of steps are not called."""
-        for group in self.param_groups:
-            moved = [p for p in group["params"] if p.grad is not None]
+        moving = [[p for p in group["params"] if p.grad is not None] for group in self.param_groups]
+        if not all(self.state[p] for moved in moving for p in moved):  # the first step makes them
+            self.step()
+            return
+        for group, moved in zip(self.param_groups, moving, strict=True):
             states = [self.state[p] for p in moved]
-            if not all(states):  # the first step makes them
-                self.step()
-                return
             adam(
                 moved, [p.grad for p in moved], [s["exp_avg"] for s in states], [s["exp_avg_sq"] for s in states], [],
                 [s["step"] for s in states], fused=True, amsgrad=False, beta1=group["betas"][0],

@@ -45,3 +45,16 @@ def test_it_goes_on_from_a_state_that_was_kept():
     optimizer.step()
     resumed.update()
     assert all(torch.equal(p, q) for p, q in zip(found, again, strict=True))
+
+
+def test_a_group_whose_gradients_come_later_moves_the_others_once():
+    ends = []
+    for kind, way in ((torch.optim.Adam, "step"), (LeanAdam, "update")):
+        early, late = (torch.nn.Parameter(torch.ones(3)) for _ in range(2))
+        optimizer = kind([{"params": [early]}, {"params": [late], "lr": 0.5}], lr=0.1, fused=True)
+        for i in range(3):
+            early.grad = torch.full((3,), i + 1.0)
+            late.grad = torch.ones(3) if i else None
+            getattr(optimizer, way)()
+        ends.append(torch.cat([early, late]).detach())
+    assert torch.equal(*ends) and (ends[0][3:] < 0.5).all()
