@@ -259,7 +259,11 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
     )
 
 
-def stage_place(stage: str) -> int:
-    """Where a stage stands in Algorithm 1; what is not of it (the oracle) comes last."""
-    place = re.sub(r"_\d+$", "", stage)  # one of several candidates
-    return ORDER.index(place) if place in ORDER else len(ORDER)
+def stage_place(stage: str) -> tuple[int, int, int]:
+    """Where a stage stands in Algorithm 1, for sorting; what is not of it (the oracle) comes last."""
+    name = re.sub(r"_\d+$", "", stage)
+    number = int(stage[len(name) + 1 :] or 1)  # one of several candidates, or rounds
+    place = ORDER.index(name) if name in ORDER else len(ORDER)
+    if number > 1 and (rehearsed := re.fullmatch(r"(.*?)(rehearsal|estimator|filter)_policy", name)):
+        return ORDER.index(f"{rehearsed[1]}filter_policy"), number, place  # a round begins after all of the one before
+    return place, 0, number

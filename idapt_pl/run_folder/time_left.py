@@ -93,21 +93,23 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
-    costs |= learning_costs(config, lengths, lengths.policy, "")
-    if t.harden and (not k or costs["teacher"]):  # whenever the teacher is another one
-        again = {name: cost for name, cost in learning_costs(config, lengths, 0, "hardened_").items() if "_" in name}
+    hardened = t.harden > 0 and (not k or costs["teacher"] > 0)  # whenever the teacher is another one
+    costs |= learning_costs(config, lengths, lengths.policy, "", 1 if hardened else t.rounds)
+    if hardened:
+        again = {n: cost for n, cost in learning_costs(config, lengths, 0, "hardened_", t.rounds).items() if "_" in n}
         costs |= again | {"hardened_teacher": 0.008 * t.harden, "trial_rehearsal": costs["rehearsal_policy"]}
     return costs
 
 
-def learning_costs(config: Any, lengths: Any, policy_steps: int, prefix: str) -> dict[str, float]:
-    """Of a policy from images, seconds."""
+def learning_costs(config: Any, lengths: Any, policy_steps: int, prefix: str, rounds: int = 1) -> dict[str, float]:
+    """Of a policy from images that rehearses so often, seconds."""
     t, area = config.teacher, (config.image_size / 64) ** 2
     costs = {
         "student": 0.03 * t.dagger * area,
         "policy": 0.01 * policy_steps * area * config.feeding.updates_per_step,
     }
-    for part in ("teacher", "policy") if t.rehearse else ():
+    later = (f"policy_{i}" for i in range(2, rounds + 1))
+    for part in ("teacher", "policy", *later) if t.rehearse else ():
         costs[f"rehearsal_{part}"] = 0.004 * t.rehearse * area
         costs[f"estimator_{part}"] = 0.001 * config.feeding.state_predictor_batch * lengths.rehearsed * area
         costs[f"filter_{part}"] = 0.02 * lengths.filter

@@ -55,6 +55,8 @@ class TeacherSettings:
             SAC follows, as long as the schedule says; 0 leaves the student as it is.
         rehearse: in place of DAgger, environment steps in which encoder and filter learn the policy's motions. Its head
             is the teacher's own, which acts on estimates of the state (:mod:`~idapt_pl.stages.on_estimates`).
+        rounds: rehearsals of the policy's own motions in every grounded source, after that of its last teacher's there.
+            What is seen of the newest makes the next one better (DAgger's iterations, Ross et al. 2011, for estimates).
         noise: spread of slow noise on the states that the teacher's actor sees while it trains, in units of their
             spread; its critics see the true ones. So it learns to live with errors of estimates. 0 for none.
         offset: spread of errors that stay for a whole episode, likewise. What G misplaces, it misplaces in every image.
@@ -74,6 +76,7 @@ class TeacherSettings:
     adapt: int = 0
     dagger: int = 0
     rehearse: int = 0
+    rounds: int = 1
     noise: float = 0.0
     offset: float = 0.0
     strays: float = 0.0
@@ -92,7 +95,7 @@ class TeacherSettings:
             ranges
             | errors
             | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]")}
-            | dict.fromkeys(("candidates", "attempts"), Range(1, 100)),
+            | dict.fromkeys(("candidates", "attempts", "rounds"), Range(1, 100)),
         )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(

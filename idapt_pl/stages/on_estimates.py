@@ -28,7 +28,7 @@ from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.distillation import copy_critics
+from idapt_pl.stages.distillation import copy_critics, numbered
 from idapt_pl.stages.encoder import fit_encoder_on
 from idapt_pl.stages.schedule import StageLengths
 
@@ -53,15 +53,17 @@ def fit_on_estimates(
         c: of the run.
         step: grounding step.
         prefix: of the stages' names.
-        lengths: of ``rehearsed`` (encoder) and ``filter``, in batches; each half of them after each of two rehearsals.
+        lengths: of ``rehearsed`` (encoder) and ``filter``, in batches; half of them after each rehearsal.
         labelled: trajectory files with target-like images and states, to learn from beside the rehearsals.
         teacher: on states.
         start: the policy whose encoder and filter go on learning.
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
-    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F)
-    if prefix or not c.teacher.to_be_hardened:
+    last = not prefix and not c.teacher.to_be_hardened
+    rounds = c.teacher.settings.rounds
+    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F, rounds if last else 1)
+    if prefix or last:
         return pi
     trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
 
@@ -70,18 +72,18 @@ def fit_on_estimates(
 
     errors = partial(errors_of_estimates, pi, [trial])
     hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
-    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F)
+    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F, rounds)
 
 
 def in_rehearsals(
     c: StageContext, step: int, prefix: str, lengths: StageLengths, labelled: Sequence[Path], teacher: StateSAC,
-    start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None,
+    start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None, rounds: int = 1,
 ) -> AsymmetricSAC:  # fmt: skip
-    """π as of :func:`fit_on_estimates`, with this teacher."""
+    """π as of :func:`fit_on_estimates`, with this teacher; ``rounds`` rehearsals are of π itself as it is by then."""
     pi, files = copy.deepcopy(start), list(labelled)
     take_over(teacher, pi)
-    for part in ("teacher", "policy"):
-        acting = pi if part == "policy" else None  # as it is by then
+    for part in ("teacher", *(numbered("policy", i) for i in range(1, rounds + 1))):
+        acting = None if part == "teacher" else pi
         files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
         pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
         take_over(teacher, pi)

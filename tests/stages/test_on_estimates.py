@@ -16,6 +16,7 @@ from idapt_pl.envs import GroundedEnv, VectorImageEnv
 from idapt_pl.evaluation.estimates import EstimateErrors
 from idapt_pl.modules import AsymmetricSAC, StateSAC
 from idapt_pl.modules.observation_noise import RecordedErrors, SlowNoise
+from idapt_pl.report.run_record import read_run_record
 from idapt_pl.rl.policy import MUCH_LOST, Acting, deterministic, warn_if_lost
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
@@ -229,8 +230,8 @@ def test_errors_of_estimates_are_what_the_policy_lives_with_while_it_acts(tmp_pa
 
 ON_ESTIMATES = TINY | {
     "teacher.steps": 16, "teacher.adapt": 12, "teacher.dagger": 0, "teacher.rehearse": 64, "teacher.noise": 0.1,
-    "teacher.harden": 8, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8, "labels.lag": 2,
-    "schedule.grounding_steps": 1, "schedule.source_policy": 0,
+    "teacher.harden": 8, "teacher.rounds": 2, "policy.memory": 8, "filter.stretch": 10, "labels.members": 8,
+    "labels.lag": 2, "schedule.grounding_steps": 1, "schedule.source_policy": 0,
     **{f"schedule.{part}.{name}": n for part in ("pretrain", "finetune")
        for name, n in (("policy", 0), ("rehearsed", 4), ("filter", 6))},
     "threads": 1, "side_by_side": "false",
@@ -274,6 +275,17 @@ def test_a_run_hardens_every_teacher_that_is_new_and_rehearses_with_it(run):
     assert (run / "step_01/trial_rehearsal.h5").exists()
 
 
+def test_a_run_rehearses_in_rounds_with_the_last_teacher_of_a_step(run):
+    rounds = {path.stem for path in run.glob("step_*/*rehearsal_policy_2.h5")}
+    assert rounds == {"hardened_rehearsal_policy_2"}
+    last = torch.load(run / "step_01/hardened_filter_policy_2/final.ckpt", weights_only=True)["state_dict"]
+    acting = torch.load(run / "step_01/policy/final.ckpt", weights_only=True)["state_dict"]
+    assert all(torch.equal(last[f"policy.{name}"], acting[name]) for name in acting if name.startswith("filter."))
+    names = list(read_run_record(run).steps[0].seconds)
+    first = names.index("hardened_filter_policy")
+    assert names[first + 1 : first + 4] == [f"hardened_{k}_policy_2" for k in ("rehearsal", "estimator", "filter")]
+
+
 def test_a_run_labels_all_target_recordings_so_far_by_physics(run):
     from datamodules import read_trajectories
 
@@ -310,21 +322,40 @@ def test_a_second_opinion_is_formed_on_a_runs_own_recordings(run):
     assert [p["after"] for p in written["parameters"]] == [v for e in written["best"] for v in e["parameters"].values()]
 
 
-def test_the_second_rehearsal_is_of_the_policy_that_learned_in_the_first(monkeypatch, teacher, policy):
-    """Not of the one that the stage began with."""
-    stages, played = "idapt_pl.stages.on_estimates", []
+@pytest.fixture
+def rounds(monkeypatch, teacher, policy):
+    """A function that gives who acts in rehearsals, the stages' names and what is learned, with nothing run."""
+    stages = "idapt_pl.stages.on_estimates"
 
     def marked(start, number):
         learned = copy.deepcopy(start)
         learned.number = number
         return learned
 
-    monkeypatch.setattr(f"{stages}.rehearse", lambda c, k, name, t, acting, G, F: played.append(acting) or name)
-    monkeypatch.setattr(f"{stages}.fit_encoder_on", lambda c, k, name, files, n, pi: marked(pi, len(files)))
-    monkeypatch.setattr(f"{stages}.fit_filter", lambda c, k, name, files, n, pi: marked(pi, 10 + len(files)))
-    lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
-    learned = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None)
-    assert played[0] is None and played[1].number == 12 and learned.number == 13
+    def play(count):
+        played, names = [], []
+
+        def learns(add):
+            return lambda c, k, name, files, n, pi: names.append(name) or marked(pi, add + len(files))
+
+        monkeypatch.setattr(f"{stages}.rehearse", lambda c, k, name, t, acting, G, F: played.append(acting) or name)
+        monkeypatch.setattr(f"{stages}.fit_encoder_on", learns(0))
+        monkeypatch.setattr(f"{stages}.fit_filter", learns(10))
+        lengths = StageLengths(1, 1, 0, rehearsed=4, filter=6)
+        learned = in_rehearsals(None, 0, "", lengths, ["labelled"], teacher, policy, None, None, count)
+        return [acting and acting.number for acting in played], names, learned.number
+
+    return play
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_every_rehearsal_is_of_the_policy_that_learned_in_the_one_before(rounds, count):
+    """Not of the one that the stage began with; and each learns from all files so far."""
+    played, names, learned = rounds(count)
+    assert played == [None, *range(12, 12 + count)] and learned == 12 + count
+    assert names[-2:] == (["estimator_policy", "filter_policy"] if count == 1 else
+                          [f"estimator_policy_{count}", f"filter_policy_{count}"])  # fmt: skip
+    assert len(names) == len(set(names)) == 2 * (count + 1)
 
 
 def lose(folder, stage):
