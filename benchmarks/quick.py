@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 
-from tables import replace_rows
+from benchmarks.tables import replace_rows
 
 from idapt_pl.tasks import make_task
 
