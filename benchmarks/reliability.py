@@ -28,7 +28,7 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
-from tables import read_rows, write_rows
+from benchmarks.tables import read_rows, write_rows
 from tqdm import tqdm
 
 from benchmarks.several_effects import Drawn, draw

@@ -10,13 +10,11 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.gates import Judged, objection
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, slopes_of_accepted
-from idapt_pl.diagnosis.trial import Rejection, RejectionReason, Trial
+from idapt_pl.diagnosis.trial import RejectionReason, Trial
 from idapt_pl.effects.base import ACTUATED
-from idapt_pl.effects.candidate import Candidate
-from idapt_pl.effects.plausible import plausible_range, rarity
-from idapt_pl.effects.runtime import SensingEffect
-from idapt_pl.effects.wording import format_number
+from idapt_pl.effects.plausible import rarity
 from idapt_pl.estimation.intervals import paired_gain
 
 log = logging.getLogger(__name__)
@@ -26,22 +24,6 @@ IN_THE_RACE = 0.7
 """Share of the way from the best candidate's loss to that without any, beyond which one is far behind."""
 FAR_LOSS = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
-NOTICEABLE_CHANGE = 0.03
-"""Of the size that a candidate's scale calls noticeable: a further effect that is smaller is no finding, however sure.
-
-What a found effect's law or the integration gets wrong by a per cent looks like that, unless it is much.
-"""
-LEFT_OVER = 1.6
-"""Mean held-out loss (1 is noise) from which much is left: a change or a law is looked for, and small effects count."""
-FURTHER_SHARE, SHARE_OF_A_PARAMETER = 0.05, 0.02
-"""Share of the held-out error that a further effect must remove, and that each of its parameters must."""
-SLIPS = 1e-3
-"""Share of the error that was removed so far, which found effects may leave: their law is 3 % wrong, squared."""
-CLEAR_GAIN = 0.25
-"""Share of the held-out error that a first effect must remove where velocities are only slopes of positions.
-
-What the slopes get wrong at the start of a window is not all in the noise; a lag of 2 ms or a little rotor inertia
-takes 15 % of it away where nothing is missing (``benchmarks/diagnosis.py --positions``)."""
 PARSIMONY = 0.15
 """Share of the best gain that every further parameter must then be worth."""
 
@@ -102,114 +84,21 @@ def refine(
 ) -> Trial:
     """Refit a candidate, with all accepted effects free, and judge it.
 
-    Arguments as of :func:`objection`; ``slopes`` by what was accepted, (n rows, p).
+    Args:
+        context: of the search.
+        state: the current model.
+        t: the candidate, roughly fitted.
+        slopes: by what was accepted, (n rows, p).
+        now: held-out losses without it, (n,).
+        first: mean held-out loss of the model as it was given.
     """
     candidates = [*state.candidates, t.candidate]
     x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
-    return replace(t, rejection=objection(context, t, now, first, bool(state.accepted)))
-
-
-def objection(context: SearchContext, t: Trial, now: np.ndarray, first: float, further: bool) -> Rejection | None:
-    """Why a refitted candidate is not accepted, if it is not.
-
-    Args:
-        context: of the search.
-        t: what became of the candidate.
-        now: held-out losses without it, (n,).
-        first: mean held-out loss of the model as it was given.
-        further: whether it comes on top of effects that were found.
-    """
-    because, level = RejectionReason, float(now.mean())
-    if text := beyond_its_kind(t.candidate, t.x[-1]):
-        return Rejection(because.BEYOND_SENSORS, text)
-    if t.gain - context.settings.sureness * t.gain_error <= 0:
-        text = f"held-out gain {t.gain:.3g} ± {t.gain_error:.2g} is not surely positive"
-        return Rejection(because.UNSURE_GAIN, text)
-    if text := too_small_a_gain(context, t, level, further):
-        return Rejection(because.SMALL_GAIN, text)
-    if further and level < 1.05:
-        return Rejection(because.NOISE_FLOOR, "the noise floor is reached without it")
-    asked = max(FURTHER_SHARE, SHARE_OF_A_PARAMETER * t.candidate.size)
-    if further and t.gain < max(asked * level, 0.08):
-        removed = f"{100 * t.gain / level:.1f} %"
-        text = f"as a further effect it removes {removed} of the held-out error, less than {100 * asked:g} %"
-        return Rejection(because.SMALL_GAIN, text)
-    if further and t.gain < SLIPS * (first - level):
-        text = (
-            "as a further effect it removes no more than what the effects found before may get wrong by a few per cent"
-        )
-        return Rejection(because.SMALL_GAIN, text)
-    if further and too_small_a_change(t.candidate, t.x[-1], t.gain, level):
-        change = f"{100 * t.candidate.change(t.x[-1]):.1g} %"
-        return Rejection(because.SMALL_CHANGE, f"as a further effect it is too small to matter: {change} of its scale")
-    if np.median(now) < 1.15 and t.gain < 0.15 * level:
-        return Rejection(because.NOISE_FLOOR, "the typical window is at the noise floor already")
-    if text := why_implausible(t.candidate, t.x[-1]):
-        return Rejection(because.IMPLAUSIBLE, text)
-    return None
-
-
-def too_small_a_change(c: Candidate, x: np.ndarray, gain: float, level: float) -> bool:
-    """Whether a further effect is too small to be a finding, and not because much was left that it explains.
-
-    Args:
-        c: the effect.
-        x: its parameters, (p,).
-        gain: of the mean held-out loss with it.
-        level: that loss without it.
-    """
-    explains = level > LEFT_OVER and gain > CLEAR_GAIN * (level - 1.0)
-    return c.change(x) < NOTICEABLE_CHANGE and not explains
-
-
-def too_small_a_gain(context: SearchContext, t: Trial, level: float, further: bool) -> str:
-    """Why a sure gain is too small, or nothing; ``level``: mean held-out loss without it. Else as of `objection`."""
-    s = context.settings
-    if t.gain < s.relative_gain * level:
-        return f"it removes {100 * t.gain / level:.1f} % of the held-out error, less than {100 * s.relative_gain:g} %"
-    if not context.sim.velocities and not further and t.gain < CLEAR_GAIN * level:
-        removed = f"{100 * t.gain / level:.0f} %"
-        return f"it removes {removed} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
-    if t.gain < s.removable_gain * max(level - 1.0, 0.0):
-        above = 100 * t.gain / (level - 1)
-        return f"it removes {above:.1f} % of what is above the floor, less than {100 * s.removable_gain:g} %"
-    return ""
-
-
-def beyond_its_kind(c: Candidate, x: np.ndarray) -> str:
-    """Whether an error of a sensor would have to be larger than sensors have: then it stands in for something else."""
-    if c.span is None or not issubclass(c.kind, SensingEffect) or not np.isclose(c.span, x[:, None]).any():
-        return ""
-    return f"its estimate ran to the end of what sensors are off by ({format_number(x[0])} {c.units()[0]})"
-
-
-def why_implausible(c: Candidate, x: np.ndarray) -> str:
-    """What about a candidate's parameters no machine has, in words; nothing where they are plausible.
-
-    A fit that ran to the end of what is plausible would have gone further.
-    """
-    if c.plausible is None:
-        return ""
-    reasons = []
-    for k, (low, high) in enumerate(c.plausible):
-        entry, (least, most) = plausible_range(c.kind.name, c.names[k], c.nominal[k]), (b[k] for b in c.possible())
-        above, below = x[k] >= high - close_to(high, high - low), x[k] <= low + close_to(low, high - low)
-        above, below = above and high < most, below and low > least
-        if entry is not None and (above or below) and high > low:
-            end = f"{format_number(high if above else low)} {c.units()[k]}".removesuffix(" 1")
-            reasons.append(f"{c.names[k]} {'above' if above else 'below'} {end} is not plausible: {entry.reason}")
-    return "; ".join(reasons)
-
-
-def close_to(end: float, width: float) -> float:
-    """How far from the end of a range a fit counts as having run there: little of the range, and of the end itself.
-
-    Ranges of factors are wide on one side: a thousandth of 0.01 to 100 is ten times its lower end.
-    """
-    return min(1e-3 * width, 0.02 * abs(end) or np.inf)
+    judged = Judged(context.settings, context.sim.velocities, t, now, first, further=bool(state.accepted))
+    return replace(t, rejection=objection(judged))
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:

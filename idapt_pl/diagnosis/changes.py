@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.diagnosis.acceptance import LEFT_OVER
 from idapt_pl.diagnosis.change_statistics import (
     FEWEST_STRETCHES,
     TimeShape,
@@ -21,6 +20,7 @@ from idapt_pl.diagnosis.change_statistics import (
     time_shapes,
 )
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.gates import LEFT_OVER
 from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted
 from idapt_pl.diagnosis.search_windows import affordable_windows

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 
-from idapt_pl.diagnosis.acceptance import confirm, why_implausible
+from idapt_pl.diagnosis.acceptance import confirm
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.force_windows import judges_forces
+from idapt_pl.diagnosis.gates import why_implausible
 from idapt_pl.diagnosis.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.trial import RejectionReason, Trial

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.acceptance import LEFT_OVER
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.gates import LEFT_OVER
 from idapt_pl.diagnosis.law_candidate import LawCandidate
 from idapt_pl.diagnosis.law_forecasts import JointForecasts
 from idapt_pl.diagnosis.law_network import fit_network

@@ -8,8 +8,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.acceptance import CLEAR_GAIN
 from idapt_pl.diagnosis.context import SearchContext
+from idapt_pl.diagnosis.gates import CLEAR_GAIN
 from idapt_pl.diagnosis.law_candidate import LawCandidate
 from idapt_pl.diagnosis.revision import eliminate_needless
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew

@@ -8,18 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.acceptance import (
-    CLEAR_GAIN,
-    FAR_LOSS,
-    PARSIMONY,
-    beyond_its_kind,
-    rough_fits,
-    too_small_a_change,
-    why_implausible,
-)
+from idapt_pl.diagnosis.acceptance import FAR_LOSS, PARSIMONY, rough_fits
 from idapt_pl.diagnosis.candidate_fit import effects_of
 from idapt_pl.diagnosis.context import SearchContext
 from idapt_pl.diagnosis.force_windows import judges_forces
+from idapt_pl.diagnosis.gates import CLEAR_GAIN, beyond_its_kind, too_small_a_change, why_implausible
 from idapt_pl.diagnosis.measurement import measure_intervals
 from idapt_pl.diagnosis.numerics import retest_numerics
 from idapt_pl.diagnosis.replay import worse_replays

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.acceptance import accept, objection, why_implausible
+from idapt_pl.diagnosis.acceptance import accept
 from idapt_pl.diagnosis.data import Windows
+from idapt_pl.diagnosis.gates import GATES, Judged, objection, objections, why_implausible
 from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
 from idapt_pl.diagnosis.settings import SearchSettings
 from idapt_pl.diagnosis.trial import RejectionReason, Trial
@@ -37,6 +38,11 @@ def trial(candidate, loss, seed=0, round=1, gain=3.0):
     losses = loss + 0.001 * np.random.default_rng(seed).normal(size=N)
     x = (np.array([0.3]), np.full(candidate.size, 0.05))
     return Trial(candidate, round, 100.0, x, 1.0, losses, gain, 0.1)
+
+
+def judged(t, level, first, further, velocities=True):
+    """A trial with what it is judged by: a model that leaves ``level`` in every window, and at first left ``first``."""
+    return Judged(SearchSettings(), velocities, t, np.full(N, level), first, further)
 
 
 def test_the_one_that_leaves_least_is_accepted_and_the_others_are_worse(state):
@@ -86,43 +92,41 @@ def test_nothing_is_accepted_where_nothing_passed(state):
     ids=["clear", "unsure", "two per cent", "five per cent", "floor", "tiny", "tiny, and yet much of what is left"],
 )
 def test_each_objection_has_its_reason(change, level, reason):
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     t = Trial(**{**vars(trial(DAMPING, 1.0)), **change})
-    rejection = objection(context, t, np.full(N, level), level, t.round > 0)
+    rejection = objection(judged(t, level, level, further=t.round > 0))
     assert (rejection and rejection.reason) == reason
     assert rejection is None or rejection.text
 
 
 def test_a_first_effect_is_not_asked_what_further_ones_are_however_late_it_comes():
     """After all that was found before was left out again, the next one is a first effect."""
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     late = Trial(**{**vars(trial(DAMPING, 1.0, round=5)), "gain": 0.19, "gain_error": 0.001})
-    assert objection(context, late, np.full(N, 4.0), 4.0, further=False) is None
-    assert objection(context, late, np.full(N, 4.0), 4.0, further=True).reason is RejectionReason.SMALL_GAIN
+    assert objection(judged(late, 4.0, 4.0, further=False)) is None
+    assert objection(judged(late, 4.0, 4.0, further=True)).reason is RejectionReason.SMALL_GAIN
 
 
 def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
-    assert objection(context, at_end, np.full(N, 4.0), 4.0, at_end.round > 0).reason is RejectionReason.BEYOND_SENSORS
+    assert objection(judged(at_end, 4.0, 4.0, further=at_end.round > 0)).reason is RejectionReason.BEYOND_SENSORS
 
 
 def test_without_velocities_the_first_effect_must_be_large():
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=False))
     first, later = (trial(DAMPING, 1.0, round=k, gain=0.8) for k in (0, 1))
-    assert objection(context, first, np.full(N, 4.0), 4.0, first.round > 0).reason is RejectionReason.SMALL_GAIN
-    assert objection(context, later, np.full(N, 4.0), 4.0, later.round > 0) is None
+    assert (
+        objection(judged(first, 4.0, 4.0, further=first.round > 0, velocities=False)).reason
+        is RejectionReason.SMALL_GAIN
+    )
+    assert objection(judged(later, 4.0, 4.0, further=later.round > 0, velocities=False)) is None
 
 
 def test_what_machines_do_not_have_is_refused_with_the_reason():
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     tilt = Candidate(GravityDirection, "world", ("tilt_x",), (0.0,), (0.1,), plausible=((-0.26, 0.26),))
     at_end = Trial(tilt, 0, 100.0, (np.array([0.26]),), 1.0, np.ones(N), 3.0, 0.1)
-    rejection = objection(context, at_end, np.full(N, 4.0), 4.0, at_end.round > 0)
+    rejection = objection(judged(at_end, 4.0, 4.0, further=at_end.round > 0))
     assert rejection.reason is RejectionReason.IMPLAUSIBLE
     assert "tilt_x above 0.26 rad is not plausible: machines are set up by eye" in rejection.text
     inside = Trial(tilt, 0, 100.0, (np.array([0.1]),), 1.0, np.ones(N), 3.0, 0.1)
-    assert objection(context, inside, np.full(N, 4.0), 4.0, inside.round > 0) is None
+    assert objection(judged(inside, 4.0, 4.0, further=inside.round > 0)) is None
 
 
 def test_an_end_that_no_simulation_goes_beyond_is_no_objection():
@@ -133,19 +137,27 @@ def test_an_end_that_no_simulation_goes_beyond_is_no_objection():
 
 
 def test_every_parameter_of_a_further_effect_must_be_worth_something():
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     x = (np.full(10, 0.5),)
     names = ("mass", "rotation", "x", "y", "z", "xx", "yy", "xy", "xz", "yz")
     ten = Candidate(BodyInertia, "upper", names, (0.0,) * 10, (0.1,) * 10)
     few = Trial(DAMPING, 1, 100.0, (np.array([0.3]),), 1.0, np.ones(N), 0.5, 0.01)
     many = Trial(ten, 1, 100.0, x, 1.0, np.ones(N), 0.5, 0.01)
-    assert objection(context, few, np.full(N, 4.0), 6.0, few.round > 0) is None
-    assert objection(context, many, np.full(N, 4.0), 6.0, many.round > 0).reason is RejectionReason.SMALL_GAIN
+    assert objection(judged(few, 4.0, 6.0, further=few.round > 0)) is None
+    assert objection(judged(many, 4.0, 6.0, further=many.round > 0)).reason is RejectionReason.SMALL_GAIN
 
 
 def test_what_an_effect_found_before_may_get_wrong_is_no_further_effect():
     """Where an effect took 1000 away, a second one of 0.5 may be its own error of two per cent."""
-    context = SimpleNamespace(settings=SearchSettings(), sim=SimpleNamespace(velocities=True))
     small = Trial(DAMPING, 1, 100.0, (np.array([0.3]),), 1.0, np.ones(N), 0.5, 0.01)
-    assert objection(context, small, np.full(N, 2.0), 1000.0, small.round > 0).reason is RejectionReason.SMALL_GAIN
-    assert objection(context, small, np.full(N, 2.0), 100.0, small.round > 0) is None
+    assert objection(judged(small, 2.0, 1000.0, further=small.round > 0)).reason is RejectionReason.SMALL_GAIN
+    assert objection(judged(small, 2.0, 100.0, further=small.round > 0)) is None
+
+
+def test_all_gates_that_a_candidate_does_not_pass_are_told_the_first_one_first():
+    t = Trial(**{**vars(trial(DAMPING, 1.0)), "gain": 0.05, "gain_error": 0.06, "x": (np.array([0.001]),)})
+    told = list(objections(judged(t, 4.0, 4.0, further=True)))
+    assert [gate.__name__ for gate, _ in told] == [
+        "sure_gain", "share_of_error", "share_above_floor", "share_of_further", "noticeable"
+    ]  # fmt: skip
+    assert objection(judged(t, 4.0, 4.0, further=True)) == told[0][1]
+    assert all(gate(judged(trial(DAMPING, 1.0), 4.0, 4.0, further=True)) is None for gate in GATES)
