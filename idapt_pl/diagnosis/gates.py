@@ -113,7 +113,7 @@ def clear_without_velocities(j: Judged) -> Rejection | None:
 def share_above_floor(j: Judged) -> Rejection | None:
     """Of what is above the noise floor."""
     asked, above = j.settings.removable_gain, max(j.level - 1.0, 0.0)
-    if j.trial.gain >= asked * above:
+    if not above or j.trial.gain >= asked * above:
         return None
     text = f"it removes {100 * j.trial.gain / above:.1f} % of what is above the floor, less than {100 * asked:g} %"
     return Rejection(RejectionReason.SMALL_GAIN, text)

@@ -161,3 +161,8 @@ def test_all_gates_that_a_candidate_does_not_pass_are_told_the_first_one_first()
     ]  # fmt: skip
     assert objection(judged(t, 4.0, 4.0, further=True)) == told[0][1]
     assert all(gate(judged(trial(DAMPING, 1.0), 4.0, 4.0, further=True)) is None for gate in GATES)
+
+
+def test_all_gates_can_be_asked_where_nothing_is_above_the_floor():
+    t = Trial(**{**vars(trial(DAMPING, 1.2)), "gain": -0.2})
+    assert [gate.__name__ for gate, _ in objections(judged(t, 0.99, 4.0, further=False))][0] == "sure_gain"
