@@ -1,13 +1,14 @@
-"""What does each gate of the diagnosis keep out that nothing else would? One row a round in which one decides.
+"""Which gates of the diagnosis keep wrong effects out, and which of them are needed? One row a judged candidate.
 
     python benchmarks/gates.py --seeds 60            # finished cases are kept
-    python benchmarks/gates.py --summary             # the table of what is there
+    python benchmarks/gates.py --summary             # the tables of what is there
 
 Controls and one to three effects, drawn as for benchmarks/several_effects.py; every second case is recorded poorly (see
-benchmarks/reliability.py). In every round of the search all of ``idapt_pl/diagnosis/gates.py`` are asked about each
-candidate. Then, for each gate, the round's choice is made again without it. A row says what was chosen, what would have
-been, and whether these are hidden effects that were not found before. So it is about one round: what would come of a
-wrong choice later, when choices are reopened and what became needless is left out, it does not tell.
+benchmarks/reliability.py). In every round of a search all of ``idapt_pl/diagnosis/gates.py`` are asked about each
+candidate that is judged on held-out episodes. ``right`` says whether it is a hidden effect that was not found before,
+``gates`` which it did not pass, ``chosen`` whether the round took it. The second table takes gates one after the other
+until they keep out all wrong candidates of rounds that took nothing. It is about one round: what would come of a wrong
+choice later, when choices are reopened and what became needless is left out, it does not tell.
 """
 
 from __future__ import annotations
@@ -44,12 +45,10 @@ from idapt_pl.diagnosis.trial import Rejection, Trial
 from idapt_pl.effects.candidate import Candidate
 
 FIELDS = (
-    "model", "hidden", "seed", "recorded", "truth", "round", "gate", "chosen", "chosen_right", "instead",
-    "instead_right", "seconds", "commit",
+    "model", "hidden", "seed", "recorded", "truth", "decision", "round", "candidate", "right", "gates", "chosen",
+    "before", "after", "gain_error", "seconds", "commit",
 )  # fmt: skip
 COUNTS = (0, 1, 2, 3)
-NO_ROUND = "none"
-"""A case in which no gate decided has one row with this for a gate, so that it is known to be done."""
 
 
 @dataclass
@@ -59,12 +58,14 @@ class Watch:
     Attributes:
         drawn: what is hidden.
         told: names of the gates that each candidate did not pass, by the candidate's identity and the round.
-        rows: of the rounds in which a gate decided.
+        rows: of all candidates that were judged.
+        decisions: rounds that it has seen; a search that begins anew counts its own from 0.
     """
 
     drawn: Drawn
     told: dict[tuple[int, int], list[str]] = field(default_factory=dict)
     rows: list[dict] = field(default_factory=list)
+    decisions: int = 0
 
     def objection(self, j: Judged) -> Rejection | None:
         """As of :mod:`idapt_pl.diagnosis.gates`; all of them are noted."""
@@ -73,27 +74,21 @@ class Watch:
         return every[0][1] if every else None
 
     def accept(self, state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
-        """As of :mod:`idapt_pl.diagnosis.acceptance`, and once more without each gate that alone keeps one out."""
+        """As of :mod:`idapt_pl.diagnosis.acceptance`; who stood for choice is noted."""
         made = accept(state, trials)
-        chosen = newest(made[0])
-        for gate in GATES:
-            alone = [gate.__name__]
-            freed = [
-                replace(t, rejection=None) if self.told.get((id(t.candidate), t.round)) == alone else t for t in trials
-            ]
-            instead = newest(accept(state, freed)[0])
-            if instead is not chosen:
+        chosen, self.decisions = newest(made[0]), self.decisions + 1
+        for t in trials:
+            if t.losses is not None:
                 self.rows.append({
-                    "round": trials[0].round, "gate": gate.__name__,
-                    "chosen": chosen.label if chosen else "", "chosen_right": self.is_right(state, chosen),
-                    "instead": instead.label if instead else "", "instead_right": self.is_right(state, instead),
+                    "decision": self.decisions, "round": t.round, "candidate": t.candidate.label,
+                    "right": self.is_right(state, t.candidate), "chosen": int(t.candidate is chosen),
+                    "gates": " ".join(self.told[id(t.candidate), t.round]), "before": round(t.held_out + t.gain, 4),
+                    "after": round(t.held_out, 4), "gain_error": round(t.gain_error, 5),
                 })  # fmt: skip
         return made
 
-    def is_right(self, state: SearchState, c: Candidate | None) -> int | str:
+    def is_right(self, state: SearchState, c: Candidate) -> int:
         """Whether it is a hidden effect that was not found before."""
-        if c is None:
-            return ""
         found = {(a.kind.name, a.target) for a in state.candidates}
         left = [set().union(*answers) for answers in self.drawn.answers]
         return int(any((c.kind.name, c.target) in answers for answers in left if not answers & found))
@@ -138,26 +133,48 @@ def run(model: str, count: int, seed: int) -> list[dict]:
         "model": model, "hidden": count, "seed": seed, "recorded": "poorly" if poor else "well",
         "truth": truth_of(drawn), "seconds": round(time.perf_counter() - started, 1), "commit": git_commit(),
     }  # fmt: skip
-    return [common | row for row in watch.rows] or [common | {"gate": NO_ROUND}]
+    return [common | row for row in watch.rows] or [common]
+
+
+def objected(rows: list[dict]) -> list[tuple[set[str], bool]]:
+    """Of each candidate that did not pass: the gates, and whether it is right."""
+    return [(set(r["gates"].split()), str(r["right"]) == "1") for r in rows if r.get("gates")]
+
+
+def last_rounds(rows: list[dict]) -> list[dict]:
+    """Candidates of rounds that took nothing."""
+    took = {(r["model"], r["hidden"], r["seed"], r["decision"]) for r in rows if str(r.get("chosen")) == "1"}
+    return [r for r in rows if (r["model"], r["hidden"], r["seed"], r["decision"]) not in took]
+
+
+def sufficient(rows: list[dict]) -> list[tuple[str, int]]:
+    """Gates, the most useful first, that together keep out all wrong candidates; with how many each adds."""
+    left, found = [gates for gates, right in objected(rows) if not right], []
+    while left:
+        names = [g.__name__ for g in GATES]
+        best = max(names, key=lambda name: sum(name in gates for gates in left))
+        found.append((best, sum(best in gates for gates in left)))
+        left = [gates for gates in left if best not in gates]
+    return found
 
 
 def summarise(rows: list[dict]) -> str:
-    """A Markdown table: for each gate, what it kept out in how many rounds."""
+    """Markdown tables: what each gate objects to, and which would do."""
     cases = {(r["model"], r["hidden"], r["seed"]) for r in rows}
+    every, last = objected(rows), last_rounds(rows)
     lines = [
         f"{len(cases)} cases, {len({c for c in cases if str(c[1]) == '0'})} of them controls.",
         "",
-        "| gate | kept a wrong effect out | of these in controls | kept a right one out | only changed which |",
+        "| gate | wrong effects that it does not let pass | alone | right ones | alone |",
         "|---|---|---|---|---|",
     ]
-    for gate in GATES:
-        of = [r for r in rows if r["gate"] == gate.__name__]
-        wrong = [r for r in of if str(r["instead_right"]) == "0" and str(r["chosen_right"]) != "0"]
-        right = [r for r in of if str(r["instead_right"]) == "1" and str(r["chosen_right"]) != "1"]
-        controls = sum(str(r["hidden"]) == "0" for r in wrong)
-        rest = len(of) - len(wrong) - len(right)
-        lines.append(f"| `{gate.__name__}` | {len(wrong)} | {controls} | {len(right)} | {rest} |")
-    return "\n".join(lines)
+    for gate in (g.__name__ for g in GATES):
+        wrong, right = ([gates for gates, is_right in every if is_right == wanted] for wanted in (False, True))
+        counts = (sum(gate in gates for gates in wrong), sum(gates == {gate} for gates in wrong),
+                  sum(gate in gates for gates in right), sum(gates == {gate} for gates in right))  # fmt: skip
+        lines.append(f"| `{gate}` | " + " | ".join(map(str, counts)) + " |")
+    lines += ["", "| in rounds that took nothing these do | wrong effects that each adds |", "|---|---|"]
+    return "\n".join(lines + [f"| `{name}` | {count} |" for name, count in sufficient(last)])
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.gates import Watch, summarise, watched
+from benchmarks.gates import Watch, sufficient, summarise, watched
 from idapt_pl.diagnosis import acceptance, search
 from idapt_pl.diagnosis.data import Windows
 from idapt_pl.diagnosis.gates import Judged
@@ -19,6 +19,7 @@ from idapt_pl.effects.joints import JointArmature, JointDamping
 N = 40
 DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
 ARMATURE = Candidate(JointArmature, "elbow", ("armature",), (0.0,), (0.1,))
+NAMES = {ord("a"): "sure_gain", ord("b"): "share_of_error", ord("c"): "noticeable"}
 HIDDEN = SimpleNamespace(answers=((frozenset({("joint_damping", "elbow")}),),))
 
 
@@ -39,27 +40,32 @@ def decided(watch, state, *trials):
     return watch.accept(state, told)[0]
 
 
-def test_what_one_gate_alone_keeps_out_is_told(state):
-    watch = Watch(HIDDEN)
-    assert decided(watch, state, refined(ARMATURE, 3.0, gain_error=9.0)) is None
-    (row,) = watch.rows
-    assert (row["gate"], row["chosen"], row["instead_right"]) == ("sure_gain", "", 0)
-    table = summarise([row | {"model": "m", "hidden": 1, "seed": 0}]).split("\n")
-    assert "| `sure_gain` | 1 | 0 | 0 | 0 |" in table and "| `noticeable` | 0 | 0 | 0 | 0 |" in table
+CASE = {"model": "m", "hidden": 1, "seed": 0}
 
 
-def test_what_two_gates_keep_out_neither_decides(state):
-    watch = Watch(HIDDEN)
-    assert decided(watch, state, refined(ARMATURE, 0.05, gain_error=9.0)) is None
-    assert watch.rows == []
-
-
-def test_a_better_one_that_is_kept_out_would_have_been_chosen_and_is_right(state):
+def test_a_search_decides_as_ever_and_who_stood_for_choice_is_told(state):
     watch = Watch(HIDDEN)
     made = decided(watch, state, refined(ARMATURE, 2.0), refined(DAMPING, 3.0, gain_error=9.0))
     assert made.accepted[0].candidate is ARMATURE
-    (row,) = watch.rows
-    assert (row["chosen_right"], row["instead"], row["instead_right"]) == (0, DAMPING.label, 1)
+    first, second = watch.rows
+    assert (first["right"], first["gates"], first["chosen"]) == (0, "", 1)
+    assert (second["right"], second["gates"], second["chosen"]) == (1, "sure_gain", 0)
+    assert second["before"] == 4.0 and second["after"] == 1.0
+
+
+def test_what_gates_do_alone_and_together_is_counted(state):
+    watch = Watch(HIDDEN)
+    assert decided(watch, state, refined(ARMATURE, 0.05, gain_error=9.0), refined(DAMPING, 3.0, gain_error=9.0)) is None
+    table = summarise([CASE | row for row in watch.rows]).split("\n")
+    assert "| `sure_gain` | 1 | 0 | 1 | 1 |" in table and "| `share_of_error` | 1 | 0 | 0 | 0 |" in table
+    assert table[-1] == "| `sure_gain` | 1 |", "the damping is right, and may pass"
+
+
+def test_gates_are_taken_until_all_wrong_ones_stay_out():
+    rows = [{"gates": gates, "right": 0} for gates in ("a b", "a", "b", "b c", "c")]
+    named = sufficient([r | {"gates": r["gates"].translate(NAMES)} for r in rows])
+    assert [name for name, _ in named] == ["share_of_error", "sure_gain", "noticeable"]
+    assert sum(count for _, count in named) == 5
 
 
 def test_nothing_stays_patched():
