@@ -34,20 +34,18 @@ LEARNED = r"(rehearsal|estimator|filter)_(teacher|policy)(_\d+)?"
 HARDENED = r"trial_rehearsal|hardened_.*"
 LABELS = r"reading_errors|reading_offsets|labelled"
 TEACHERS = r"teacher(_\d+)?|teacher_trials"
-REPAIRED = r".*_repaired"
 SEARCH = r"control|effects|known_start_search"
 SOURCE = r"source_(start|policy)|source_(rehearsal|estimator|filter)_.*|direct_transfer"
 
 PARTS: dict[str, tuple[dict[str, object], str]] = {
     "rounds": ({"teacher.rounds": 1}, r"(hardened_)?(rehearsal|estimator|filter)_policy_\d+"),
     "hardening": ({"teacher.harden": 0}, HARDENED),
-    "regrounding": ({"schedule.regrounded": 0}, f"{REPAIRED}|{LABELS}|{LEARNED}|{HARDENED}"),
     "labels": ({"labels.members": 0}, f"{LABELS}|{LEARNED}|{HARDENED}"),
     "stronger teacher": (
         {"teacher.adapt": 0, "teacher.candidates": 1, "teacher.harden": 0},
         f"{TEACHERS}|{LEARNED}|{HARDENED}",
     ),
-    "effects": ({"effects.discover": "false"}, f"{SEARCH}|{REPAIRED}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}"),
+    "effects": ({"effects.discover": "false"}, f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}"),
     "estimates": (  # a student without memory imitates the teacher on three frames
         {
             "policy.memory": 0,
@@ -57,7 +55,7 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
             "teacher.rounds": 1,
             "labels.members": 0,
         },
-        f"{SOURCE}|estimator|estimator_repaired|{LABELS}|{LEARNED}|{HARDENED}",
+        f"{SOURCE}|estimator|{LABELS}|{LEARNED}|{HARDENED}",
     ),
 }
 """What is switched off: its keys, and the stages of step 0 that are made again."""

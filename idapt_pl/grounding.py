@@ -26,8 +26,6 @@ from idapt_pl.stages.state_predictor import fit_P_S
 from idapt_pl.stages.visual import fit_G
 
 NO_DISCOVERY = DiscoverySettings(discover=False)
-REPAIRED = "_repaired"
-"""Ends the names of stages of step 0 that are made again where effects were added to the source."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +100,8 @@ class IterativeGrounding:
         source_policy = self.source_policy(P_S, D_S)
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
-        repaired = self.repair.physical_effects(0, D_T, G, pi)
-        if again := REPAIRED if repaired and self.schedule.regrounded and self.schedule.paired_steps else "":
-            replayed = self.play_again(0, D_T, name=f"replayed{again}")
-            G = fit_G(c, 0, D_S, D_T, self.schedule.regrounded, P_S, G, replayed, f"visual{again}")
-            pi = fit_encoder(c, 0, D_S, lengths.estimator, G, pi, again)
-        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps, again)
+        self.repair.physical_effects(0, D_T, G, pi)
+        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
         pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
 
@@ -176,14 +170,12 @@ class IterativeGrounding:
         steps, horizon = s.source_images or s.images, s.exploration_horizon
         return record_source(self.context, 0, self.explore, steps, horizon=horizon)
 
-    def play_again(
-        self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None, name: str = "replayed"
-    ) -> Path | None:
+    def play_again(self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None) -> Path | None:
         """What the first actions of the target's episodes do in the source as it is: nearly the same, for a while."""
         if not (steps := self.schedule.paired_steps):
             return None
         G, F = (None, None) if g is None else (g.G, g.F)
-        return replay_in_source(self.context, k, D_T, G, F, name, steps)
+        return replay_in_source(self.context, k, D_T, G, F, "replayed", steps)
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""

@@ -183,7 +183,7 @@ class Run:
         Raises:
             ValueError: if there is none yet.
         """
-        made = sorted(self.folder.glob("step_*/visual*/final.ckpt"))
+        made = sorted(self.folder.glob("step_*/visual/final.ckpt"))
         if not made and checkpoint is None:
             raise ValueError(
                 f"{self.folder} has no finished visual stage yet; resume it: "

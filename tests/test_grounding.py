@@ -28,7 +28,6 @@ from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import StatePredictor
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.units import Units, give_in_units
-from idapt_pl.report.run_record import read_run_record
 from idapt_pl.run import Run
 from idapt_pl.run_folder.shipped_configs import with_shipped_configs
 from idapt_pl.stage import Stages, stage_seed
@@ -190,33 +189,6 @@ def test_the_first_actions_of_the_target_are_played_again_in_the_source_for_pair
                 assert np.array_equal(here.actions, there.actions[: len(here)])
     entries = json.loads((tmp_path / "ledger.json").read_text())["entries"]
     assert sum(e["count"] for e in entries if e["purpose"] == "training") == 120, "playing again costs nothing"
-
-
-def test_g_learns_again_from_pairs_with_the_repaired_source(tmp_path, tiny_args, monkeypatch):
-    """Played there, the target's actions do something else; and what comes after sees through the newer G."""
-    heavier = {"effects": [{"effect": "body_mass", "target": "pole", "parameters": {"mass": 40.0}}], "estimates": []}
-    monkeypatch.setattr(
-        "idapt_pl.stages.repair.discover_effects", lambda *args: SimpleNamespace(to_dict=lambda: dict(heavier))
-    )
-    lengths = {"schedule__paired_steps": 6, "schedule__regrounded": 2, "schedule__grounding_steps": 0}
-    args = tiny_args(tmp_path, visual__reset_weight=2, effects__discover="true", effects__refine="false", **lengths)
-    assert main(["fit", *args]) == 0
-    step = tmp_path / "step_00"
-    before, after = (read_trajectories(step / f"replayed{s}.h5").episodes for s in ("", "_repaired"))
-    assert all(np.array_equal(a.actions, b.actions) for a, b in zip(before, after, strict=True) if len(a) == len(b))
-    states = [[e.observations["state"][: min(len(a), len(b)) + 1] for e in (a, b)]
-              for a, b in zip(before, after, strict=True)]  # fmt: skip
-    moved = [np.abs(here - there).max() for here, there in states]
-    assert max(moved) > 1e-4, "the heavier pole falls otherwise"
-    older, newer = (weights(step / f"visual{s}/final.ckpt") for s in ("", "_repaired"))
-    assert any(not torch.equal(older[name], newer[name]) for name in newer)
-    used = Run.open(tmp_path).load_visual().state_dict()
-    assert all(torch.equal(used[name], newer[name]) for name in newer)
-    assert (step / "translated_repaired.h5").exists() and (step / "estimator_repaired/final.ckpt").exists()
-    assert "visual_repaired" in read_run_record(tmp_path).steps[0].seconds
-    shutil.rmtree(step / "policy")
-    kept = (step / "visual_repaired/final.ckpt").stat().st_mtime_ns
-    assert main(["fit", *args]) == 0 and (step / "visual_repaired/final.ckpt").stat().st_mtime_ns == kept
 
 
 def test_target_interactions_are_those_of_the_files_and_of_the_schedule(finished_run, summary):
@@ -621,7 +593,6 @@ def test_a_learned_encoder_cannot_be_regressed_on_states_which_is_said_at_once(t
             {"schedule__paired_steps": 4, "visual__reset_weight": 0},
             "paired_steps is 4, but G learns nothing from pairs",
         ),
-        ({"schedule__regrounded": 4}, "schedule.regrounded is 4, but schedule.paired_steps is 0"),
         ({"schedule__finetune__dynamics": 0}, "F would be used untrained"),
         ({"shorten": 0.5}, "shorten"),
     ],

@@ -62,8 +62,8 @@ def step_images(step: StepRecord, run: Run) -> str:
 
 def translated_frames(step: StepRecord, run: Run) -> str:
     """Rows of pictures: what the source shows, what G makes of it, and the real target frame most like that."""
-    checkpoint = max(step.folder.glob("visual*/final.ckpt"), default=None)  # visual_repaired, if there is one
-    if checkpoint is None:
+    checkpoint = step.folder / "visual" / "final.ckpt"
+    if not checkpoint.exists():
         return paragraph("No pictures: G of this step has not been trained yet.", "small")
     try:
         G = run.load_visual(checkpoint)

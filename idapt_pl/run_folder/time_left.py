@@ -89,9 +89,6 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "teacher": 0.008 * t.adapt * (looks or (k > 0 and s.action_transformation)),
         "evaluation": 50.0,
     }
-    if looks and not k and s.regrounded and s.paired_steps:
-        costs |= {f"{name}_repaired": costs[name] for name in ("replayed", "translated", "estimator")}
-        costs["visual_repaired"] = costs["visual"] * s.regrounded / max(lengths.visual, 1)
     costs |= {f"teacher_{i}": costs["teacher"] for i in range(2, t.candidates + 1)}
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}

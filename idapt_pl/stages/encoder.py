@@ -16,28 +16,27 @@ from idapt_pl.stages.state_predictor import fit_P_S
 
 
 def fit_encoder(
-    c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC,
-    suffix: str = "",
-) -> AsymmetricSAC:  # fmt: skip
+    c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC
+) -> AsymmetricSAC:
     """π with its encoder regressed on all labelled source images, as G shows them; 0 batches leave π as it is.
 
     While π trains it meets few states, near those it holds. F and the next policies need estimates that are right
-    wherever G has data. ``suffix`` ends the stage's name.
+    wherever G has data.
     """
     if not batches:
         return pi
-    return fit_encoder_on(c, step, f"estimator{suffix}", [translated(c, step, source, G, suffix)], batches, pi)
+    return fit_encoder_on(c, step, "estimator", [translated(c, step, source, G)], batches, pi)
 
 
-def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTransformation, suffix: str = "") -> Path:
-    """``translated<suffix>.h5``: labelled source images as G shows them."""
+def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTransformation) -> Path:
+    """``translated.h5``: labelled source images as G shows them."""
 
     def make(seed: int) -> Trajectories:
         seen = read_all(source, also="state")
         episodes = tuple(G.translate_episode(episode) for episode in seen)
         return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
 
-    return c.stages.record(step, f"translated{suffix}", make)[0]
+    return c.stages.record(step, "translated", make)[0]
 
 
 def fit_encoder_on(

@@ -35,7 +35,7 @@ STARTS_WELL = 5
 
 def labelled_images(
     c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
-    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0, suffix: str = "",
+    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0,
 ) -> list[Path]:  # fmt: skip
     """Trajectory files with target-like images and states: source images through G, and the target's own by physics.
 
@@ -48,11 +48,10 @@ def labelled_images(
         F: what the source plays for an action of the target; None is the identity.
         pi: its encoder reads target images.
         paired_steps: control steps from where episodes begin that G learned as pairs.
-        suffix: ends the name of the file of source images through G.
     """
     if not c.teacher.settings.rehearse:
         return []  # nothing learns from them
-    known = translated(c, step, source, G, suffix)
+    known = translated(c, step, source, G)
     return [known, *label_target(c, step, target, known, pi.estimator(G), F, paired_steps)]
 
 

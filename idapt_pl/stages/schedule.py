@@ -123,8 +123,6 @@ class Schedule:
         paired_steps: so many control steps from the start of each of the target's episodes are played again in the
             source as it is. Images of the same step then show nearly the same to ``visual.reset_weight``, where
             otherwise only first observations do. As many as the two dynamics take to part ways. 0 for none.
-        regrounded: batches for G once more in step 0 where effects were added to the source: played in it, the target's
-            actions do more nearly what they did there, and so G has better pairs. 0 leaves that to the next step.
         pretrain: stages before the first grounding step.
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
@@ -148,7 +146,6 @@ class Schedule:
     interactions: int = 1000
     source_policy: int | None = 10_000
     paired_steps: int = 0
-    regrounded: int = 0
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
     action_transformation: bool = True
@@ -163,16 +160,10 @@ class Schedule:
             "source_images": COUNT,
             "interactions": COUNT,
             "paired_steps": COUNT_OR_NONE,
-            "regrounded": COUNT_OR_NONE,
             "source_policy": COUNT_OR_NONE,
         }
         once |= {"grounding_steps": Range(0, 99), "exploration_horizon": Range(2, 1e6)}
         check_ranges("schedule", vars(self), once)
-        if self.regrounded and not self.paired_steps:
-            raise ValueError(
-                f"schedule.regrounded is {self.regrounded}, but schedule.paired_steps is 0: G learns again from better "
-                "pairs. Give both, or schedule.regrounded 0"
-            )
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))

@@ -56,18 +56,6 @@ def test_rounds_are_expected_of_the_last_teacher_of_a_step_alone():
     assert named == expected | {(k, f"{kind}_policy_{i}") for k in (1, 2) for kind in kinds for i in (2, 3)}
 
 
-def test_g_is_expected_to_learn_again_where_effects_are_sought():
-    def costs(config, **given):
-        options = [f"--{name.replace('__', '.')}={value}" for name, value in given.items()]
-        found = expected_seconds(GroundingCLI(["--config", f"configs/{config}.yaml", *options]).run().config)
-        return {(k, name) for k, name in found if name.endswith("_repaired")}
-
-    again = {(0, f"{name}_repaired") for name in ("replayed", "visual", "translated", "estimator")}
-    assert costs("cheetah_hard", schedule__regrounded=600) == again
-    assert costs("cheetah_hard", schedule__regrounded=600, effects__discover="false") == set()
-    assert costs("cheetah_hard", schedule__regrounded=0) == set()
-
-
 def test_no_stage_of_a_run_comes_as_a_surprise(finished_run):
     config = GroundingCLI(["--config", str(finished_run / "config.yaml")]).run().config
     stages = {(e["step"], e["stage"]) for e in json.loads((finished_run / "summary.json").read_text())["stages"]}
