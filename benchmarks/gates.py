@@ -143,8 +143,8 @@ def objected(rows: list[dict]) -> list[tuple[set[str], bool]]:
 
 def last_rounds(rows: list[dict]) -> list[dict]:
     """Candidates of rounds that took nothing."""
-    took = {(r["model"], r["hidden"], r["seed"], r["decision"]) for r in rows if str(r.get("chosen")) == "1"}
-    return [r for r in rows if (r["model"], r["hidden"], r["seed"], r["decision"]) not in took]
+    took = {(r["model"], r["hidden"], r["seed"], r.get("decision")) for r in rows if str(r.get("chosen")) == "1"}
+    return [r for r in rows if (r["model"], r["hidden"], r["seed"], r.get("decision")) not in took]
 
 
 def sufficient(rows: list[dict]) -> list[tuple[str, int]]:

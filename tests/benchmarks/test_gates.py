@@ -59,6 +59,7 @@ def test_what_gates_do_alone_and_together_is_counted(state):
     table = summarise([CASE | row for row in watch.rows]).split("\n")
     assert "| `sure_gain` | 1 | 0 | 1 | 1 |" in table and "| `share_of_error` | 1 | 0 | 0 | 0 |" in table
     assert table[-1] == "| `sure_gain` | 1 |", "the damping is right, and may pass"
+    assert summarise([CASE | {"hidden": 0}]).startswith("1 cases, 1 of them controls."), "nothing was even judged"
 
 
 def test_gates_are_taken_until_all_wrong_ones_stay_out():
