@@ -45,7 +45,10 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
         {"teacher.adapt": 0, "teacher.candidates": 1, "teacher.harden": 0},
         f"{TEACHERS}|{LEARNED}|{HARDENED}",
     ),
-    "effects": ({"effects.discover": "false"}, f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}"),
+    "effects": (  # and no variants within their intervals
+        {"effects.discover": "false", "randomisation.ranges": "null"},
+        f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}",
+    ),
     "estimates": (  # a student without memory imitates the teacher on three frames
         {
             "policy.memory": 0,
@@ -83,13 +86,17 @@ def fork(run: Path, part: str) -> Path:
     return folder
 
 
+def without(part: str) -> list[str]:
+    """Options of ``idapt fit`` for a run that ends with step 0 and has not this part."""
+    return [f"--{key}={value}" for key, value in (PARTS[part][0] | {"schedule.grounding_steps": 0}).items()]
+
+
 def measured(run: Path, part: str, extra: list[str]) -> dict:
     """The row of a run without a part."""
     folder = run if part == "nothing" else fork(run, part)
     if not (folder / "summary.json").exists():
-        keys = PARTS[part][0] | {"schedule.grounding_steps": 0, "run_dir": folder}
-        options = [f"--{key}={value}" for key, value in keys.items()]
-        command = [sys.executable, "-m", "cli", "fit", "--config", str(run / "config.yaml"), *options, *extra]
+        options = ["--config", str(run / "config.yaml"), *without(part), f"--run_dir={folder}"]
+        command = [sys.executable, "-m", "cli", "fit", *options, *extra]
         subprocess.run(command, cwd=ROOT, check=True)
     first = next(row for row in quick.rows(folder, "IDAPT") if row["grounding_step"] == 0)
     began_from = json.loads((run / "run.json").read_text())["git_commit"]

@@ -1,6 +1,7 @@
 import pytest
 
 from benchmarks import taken_away
+from cli.fit import GroundingCLI
 from idapt_pl.report.run_record import ORDER
 
 WITHOUT = {
@@ -45,3 +46,12 @@ def test_a_fork_that_is_there_stays_as_it_is(run):
     fork = taken_away.fork(run, "labels")
     (fork / "step_00/labelled.json").write_text("made since")
     assert taken_away.fork(run, "labels") == fork and (fork / "step_00/labelled.json").exists()
+
+
+@pytest.mark.parametrize("config", ["cheetah_hard", "walker_hard"])
+@pytest.mark.parametrize("part", taken_away.PARTS)
+def test_a_run_without_a_part_is_one_that_can_be_made(part, config, tmp_path):
+    """Nothing that is left contradicts what is taken away."""
+    options = ["--config", f"configs/{config}.yaml", *taken_away.without(part), f"--run_dir={tmp_path / 'run'}"]
+    run = GroundingCLI(options).run()
+    assert run.config.schedule.grounding_steps == 0 and run.method is not None
