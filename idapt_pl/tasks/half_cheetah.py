@@ -13,6 +13,10 @@ from idapt_pl.tasks.locomotion import DM_CONTROL_LOOK, Locomotion
 from idapt_pl.tasks.recipe import ExpertRecipe
 
 JOINTS = ("bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot")
+PITCH = 1  # in the state
+LOWEST_PITCH = -0.75 * np.pi
+"""Where one turn of pitch begins [rad]: head up and far over, which a cheetah only passes through. On its back it may
+lie for long, and a picture cannot tell turns apart."""
 
 
 def armature(value: float) -> tuple[Effect, ...]:
@@ -29,7 +33,10 @@ def scale_total_mass(spec: mujoco.MjSpec, mass: float) -> None:
 
 
 class HalfCheetah(Locomotion):
-    """State (17,), actions (6,): see :class:`Locomotion`. Reward: speed less 0.1 of the squared action; never ends."""
+    """State (17,), actions (6,): see :class:`Locomotion`. Reward: speed less 0.1 of the squared action; never ends.
+
+    Pitch in the state is within one turn from :data:`LOWEST_PITCH`, in ``data.qpos`` it is not.
+    """
 
     name = "half_cheetah"
     frame_skip = 5
@@ -60,6 +67,16 @@ class HalfCheetah(Locomotion):
             *(Color(geom, (1, 0.7, 1, 1)) for geom in ("torso", "head", "bthigh", "fthigh")),
         )
         return {d.name: d for d in (source, easy.named("easy"), hard.named("hard"))}
+
+    def state(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+        state = super().state(model, data)
+        state[PITCH] -= 2 * np.pi * np.floor((state[PITCH] - LOWEST_PITCH) / (2 * np.pi))
+        return state
+
+    def motion(self, states: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+        positions, velocities = super().motion(states, period)
+        positions[:, 1 + PITCH] = np.unwrap(positions[:, 1 + PITCH])
+        return positions, velocities
 
     def reset(self, model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
         data.qpos[:] = model.qpos0 + rng.uniform(-0.1, 0.1, model.nq)

@@ -190,6 +190,24 @@ def test_unknown_names_are_errors_that_list_the_known_ones():
         make_task("inverted_pendulum").domain("harder")
 
 
+def test_turns_of_a_cheetah_that_rolls_are_told_by_no_state_and_by_its_motion():
+    """One picture has one state, however often it rolled over before; positions over time do not jump."""
+    task = make_task("half_cheetah")
+    model = task.domain("source").compile()
+    data = mujoco.MjData(model)
+
+    def lying(pitch):
+        data.qpos[2] = pitch
+        return task.state(model, data)
+
+    np.testing.assert_allclose(lying(-3.0), lying(2 * np.pi - 3.0), atol=1e-12)
+    np.testing.assert_allclose(lying(3.3 - 4 * np.pi), lying(3.3), atol=1e-12)
+    rolling = np.linspace(0.5, 15.0, 60)
+    states = np.array([lying(pitch) for pitch in rolling])
+    assert np.ptp(states[:, 1]) < 2 * np.pi and data.qpos[2] == rolling[-1], "the simulation itself is left alone"
+    np.testing.assert_allclose(task.motion(states, 0.1)[0][:, 2], rolling, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["inverted_pendulum", "half_cheetah", "walker2d"])
 def test_positions_can_be_told_from_states(name):
     """Exactly where a state has them; the distance along the track from its speed, as well as the period allows."""
