@@ -50,6 +50,9 @@ class FilterTraining(L.LightningModule):
         assert self.policy.filter is not None  # policy.memory is above 0
         return self.policy.filter
 
+    def on_train_start(self) -> None:
+        self.filter.train()  # finished policies are in evaluation mode, in which cuDNN gives a GRU no gradients
+
     def training_step(self, batch: dict[str, Tensor], index: int) -> Tensor:
         """``readings`` and ``states`` (b, t, s), ``actions`` before each (b, t, nu), -1..1; ``there``, bool (b, t)."""
         readings = disturbed(batch["readings"], self.hparams)

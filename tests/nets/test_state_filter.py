@@ -209,6 +209,14 @@ def test_training_moves_the_filter_alone(trainer):
     assert moved and all(k.startswith("filter.") for k in moved)
 
 
+def test_the_filter_of_a_finished_policy_is_in_training_mode_while_it_learns(trainer):
+    """Without that there is no gradient on a GPU: cuDNN's GRU has none in evaluation mode."""
+    policy = filtering_policy().eval()
+    data = StretchDataModule(oscillators(4, 30, 0.3, seed=0), 10, 4, 2, seed=0)
+    trainer(2).fit(FilterTraining(policy), datamodule=data)
+    assert policy.filter.training and not policy.actor.training
+
+
 def test_a_filter_needs_readings_of_states():
     with pytest.raises(ValueError, match="encoder is learned"):
         AsymmetricSAC(2, [-1.0], [1.0], image_size=16, memory=8)
