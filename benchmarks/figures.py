@@ -1,4 +1,4 @@
-"""Figures in the prose of pages, filled in from results/*.csv.
+"""Figures and tables of pages, filled in from results/*.csv.
 
     python benchmarks/figures.py            # write what the tables say into README.md and docs/
     python benchmarks/figures.py --check    # say what differs; exit code 1 if anything does
@@ -10,6 +10,7 @@ A figure stands between two comments that do not show; the first, without spaces
 These are a table, a column, the rows (``&`` between conditions, ``+`` for a space, ``%3A`` for a colon, none for all
 rows) and a format. The figure is the value of the column in these rows, which must agree; ``sum(minutes)``,
 ``mean(...)``, ``min(...)``, ``max(...)`` and ``count(...)`` make one of several, and ``sum(after_s)/60`` divides it.
+Between ``<!--tables:hard-->`` and ``<!--/tables-->`` stands what ``python benchmarks/tables.py hard`` prints.
 """
 
 from __future__ import annotations
@@ -23,7 +24,12 @@ from pathlib import Path
 from urllib.parse import unquote_plus
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.tables import TABLES
+
 FIGURE = re.compile(r"<!--(results/[\w.]+\.csv):([^:\s>]+):([^:\s]*):([^:\s]+?)-->(.*?)<!--/-->", re.DOTALL)
+TABLE = re.compile(r"(<!--tables:(\w+)-->\n\n)(.*?)(\n\n<!--/tables-->)", re.DOTALL)
 COLUMN = re.compile(r"(?:(sum|mean|min|max|count)\((\w+)\)|(\w+))(?:/([\d.]+))?")
 SEVERAL: dict[str, Callable[[list[float]], float]] = {
     "sum": sum,
@@ -73,18 +79,22 @@ def value_of(table: str, column: str, rows: str, shape: str, root: Path = ROOT) 
 
 
 def differing(text: str, root: Path = ROOT) -> Iterator[tuple[str, str, str]]:
-    """Figures of a page that its tables do not have: where from, what stands there, what should."""
+    """Figures and tables of a page that results/*.csv do not have: where from, what stands there, what should."""
     for found in FIGURE.finditer(text):
         should = value_of(found[1], found[2], found[3], found[4], root)
         if found[5] != should:
             yield ":".join(found.groups()[:4]), found[5], should
+    for found in TABLE.finditer(text):
+        if found[3] != (should := TABLES[found[2]](root / "results")):
+            yield f"table {found[2]}", found[3], should
 
 
 def filled_in(text: str, root: Path = ROOT) -> str:
-    """A page with all figures as the tables have them."""
-    return FIGURE.sub(
+    """A page with all figures and tables as results/*.csv have them."""
+    text = FIGURE.sub(
         lambda m: m[0].replace(f"-->{m[5]}<!--", f"-->{value_of(m[1], m[2], m[3], m[4], root)}<!--"), text
     )
+    return TABLE.sub(lambda m: m[1] + TABLES[m[2]](root / "results") + m[4], text)
 
 
 def main() -> int:
@@ -95,7 +105,8 @@ def main() -> int:
     for page in pages():
         text = page.read_text(encoding="utf-8")
         for where, stands, should in differing(text):
-            print(f"{page.relative_to(ROOT)}: {where} is {should}, not {stands}")
+            said = "differs" if where.startswith("table") else f"is {should}, not {stands}"
+            print(f"{page.relative_to(ROOT)}: {where} {said}")
             wrong += 1
         if not check and (new := filled_in(text)) != text:
             page.write_text(new, encoding="utf-8")

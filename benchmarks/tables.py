@@ -1,17 +1,19 @@
 """Tables of results: CSV files that benchmarks add to as they go, and the tables of the pages made from them.
 
     python benchmarks/tables.py           # the table of README.md: means and 95 % intervals over seeds
-    python benchmarks/tables.py --runs    # of every run in results/<config>.csv and results/curves.csv
-    python benchmarks/tables.py --kept    # what the target keeps of the return in the grounded source, run by run
+    python benchmarks/tables.py easy      # the same of the easy targets; quick: of the quick configs
+    python benchmarks/tables.py runs      # of every run in results/<config>.csv and results/curves.csv
+    python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
 
-The benchmarks import what reads and writes the CSV files.
+``python benchmarks/figures.py`` writes them into the pages. The benchmarks import what reads and writes the CSV files.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,8 @@ SHOWN = (
     ("sawyer_push", "sawyer", {"run": "IDAPT"}),
 )
 """Rows of README's table: task, its tables, and which of their rows. The rest is in the table of every run."""
+FIRST_STEPS = {"walker_quick": ("walker_hard", 1, 5000)}
+"""Configs that are another one's first grounding steps: its table, how many, the target's control steps up to there."""
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -109,12 +113,22 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join((above, "|---" * len(head) + "|", *below))
 
 
-def summary(results: Path = RESULTS, target: str = "hard") -> str:
-    """README's table, or the same of the easy targets."""
-    bounds, lines = read_rows(results / "bounds.csv"), []
+def rows_of(table: str, wanted: Row, results: Path) -> list[dict]:
+    """The rows of a config's table that have these values; of a config that another begins with, that one's."""
+    mine = chosen(read_rows(results / f"{table}.csv"), wanted)
+    if mine or table not in FIRST_STEPS:
+        return mine
+    longer, steps, interactions = FIRST_STEPS[table]
+    first = [row for row in rows_of(longer, wanted, results) if int(row["grounding_step"] or 0) <= steps]
+    return [row | {"target_interactions": str(interactions)} for row in first]
+
+
+def summary(results: Path = RESULTS, size: str = "hard") -> str:
+    """README's table, or the same of the easy targets or of the quick configs, whose targets are hard."""
+    bounds, lines, target = read_rows(results / "bounds.csv"), [], "easy" if size == "easy" else "hard"
     for task, tables, wanted in SHOWN:
-        table = f"{tables}_{target}"
-        mine = chosen(read_rows(results / f"{table}.csv"), wanted)
+        table = f"{tables}_{size}"
+        mine = rows_of(table, wanted, results)
         if not mine:
             continue  # not run yet
         metric = "success" if task in ("fetch_reach", "sawyer_push") else "return"
@@ -182,14 +196,21 @@ def every_run(results: Path = RESULTS) -> str:
     return markdown(("table", "run", "seeds", "direct transfer", "step 0", "last step", "commits", "CPU"), lines)
 
 
+TABLES: Mapping[str, Callable[[Path], str]] = {
+    "hard": summary,
+    "easy": functools.partial(summary, size="easy"),
+    "quick": functools.partial(summary, size="quick"),
+    "kept": kept,
+    "runs": every_run,
+}
+"""Tables of the pages, by the names that ``benchmarks/figures.py`` finds there."""
+
+
 def main() -> None:
     """Print a table."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--runs", action="store_true", help="every run, not only those of README.md")
-    p.add_argument("--easy", action="store_true", help="of the easy targets")
-    p.add_argument("--kept", action="store_true", help="what the target keeps of the grounded source's return")
-    o = p.parse_args()
-    print(every_run() if o.runs else kept() if o.kept else summary(target="easy" if o.easy else "hard"))
+    p.add_argument("table", nargs="?", choices=TABLES, default="hard")
+    print(TABLES[p.parse_args().table](RESULTS))
 
 
 if __name__ == "__main__":

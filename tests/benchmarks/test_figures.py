@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from benchmarks.figures import FIGURE, differing, filled_in, pages, value_of
+from benchmarks.figures import FIGURE, TABLE, differing, filled_in, pages, value_of
 
 PAGES = pages()
 
@@ -14,6 +14,7 @@ def test_figures_in_prose_are_those_of_their_tables(page):
     text = page.read_text(encoding="utf-8")
     assert [*differing(text)] == [], "python benchmarks/figures.py fills them in"
     assert len(re.findall(r"<!--results/", text)) == len(FIGURE.findall(text)), "a mark that cannot be read"
+    assert len(re.findall(r"<!--tables:", text)) == len(TABLE.findall(text)), "a table without its end"
 
 
 def test_there_are_figures_to_compare():
@@ -32,6 +33,19 @@ def test_a_figure_is_found_and_a_wrong_one_is_seen(root):
     assert [*differing(text, root)] == [("results/t.csv:mean:method=no+F&seed=0:.0f", "13", "12")]
     mended = filled_in(text, root)
     assert mended == text.replace(">13<", ">12<") and not [*differing(mended, root)]
+
+
+def test_a_table_is_written_between_its_marks(root):
+    (root / "results/bounds.csv").write_text("task,domain,policy,metric,mean\nwalker2d,hard,oracle,return,10\n")
+    (root / "results/walker_hard.csv").write_text(
+        "task,run,method,seed,grounding_step,mean,target_interactions\nwalker2d,IDAPT,visual only,0,0,2,8000\n"
+    )
+    text = "Before.\n\n<!--tables:hard-->\n\nold\n\n<!--/tables-->\n\nAfter."
+    ((where, stands, should),) = differing(text, root)
+    assert (where, stands) == ("table hard", "old") and should.endswith(
+        "| `walker_hard`, return | 1 | 8,000 |  | 2 |  | 10 | 1930 |"
+    )
+    assert filled_in(text, root) == text.replace("old", should)
 
 
 @pytest.mark.parametrize(
