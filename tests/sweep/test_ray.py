@@ -1,6 +1,7 @@
 """A sweep on a real Ray cluster of two nodes, one of them lost in the middle: nothing is lost, nothing run twice."""
 
 import json
+import os
 import threading
 import time
 
@@ -99,10 +100,12 @@ def test_the_runs_of_a_lost_node_go_on_elsewhere(storage, cluster, sweep_yaml, t
         assert killed == without_times(whole / "summary.json"), "as a run that nobody disturbed"
 
 
-def test_a_node_without_the_package_is_named_before_anything_runs(cluster, sweep_yaml, tmp_path, capsys):
+def test_a_node_without_the_package_is_named_before_anything_runs(cluster, sweep_yaml, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # Ray has its tasks look for modules in the folder that a sweep is started from
     (tmp_path / "broken/idapt_pl").mkdir(parents=True)
     (tmp_path / "broken/idapt_pl/__init__.py").write_text("raise ImportError('there is no package here')\n")
-    cluster.add_node(**NODE, env_vars={"PYTHONPATH": str(tmp_path / "broken")})
+    path = os.pathsep.join((str(tmp_path / "broken"), *filter(None, [os.environ.get("PYTHONPATH")])))
+    cluster.add_node(**NODE, env_vars={"PYTHONPATH": path})
     assert main(["sweep", "--config", str(sweep_yaml()), "--address", cluster.address]) == 1
     said = capsys.readouterr().err
     assert "cannot run idapt" in said and "there is no package here" in said and "Traceback" not in said
