@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+OUT = ROOT / "results" / "real_machines.csv"
 sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
@@ -38,6 +39,7 @@ from mujoco import sysid
 from scipy.signal import butter, filtfilt
 from tables import read_rows, write_rows
 
+from benchmarks.fewer_gates import judged_by
 from benchmarks.other_fits import by_hand, pace, sysid_fit
 from cli.diagnose import command_line
 from cli.diagnose_recordings import diagnose_recordings
@@ -247,8 +249,11 @@ def main() -> None:
     p.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--report", type=Path, help="write each set's report below this folder")
-    p.add_argument("--out", type=Path, default=ROOT / "results" / "real_machines.csv")
+    p.add_argument("--without", nargs="+", default=(), help="gates to leave out, see benchmarks/fewer_gates.py")
+    p.add_argument("--out", type=Path, default=OUT)
     o = p.parse_args()
+    if o.without and o.out == OUT:
+        raise SystemExit(f"--without wants another --out than {OUT.name}, whose rows are of the diagnosis as it is")
     if not hasattr(sysid, "ParameterDict"):
         raise SystemExit('mujoco.sysid is not whole: pip install "idapt[benchmarks]"')
     rows = {r["set"]: r for r in read_rows(o.out)}
@@ -256,7 +261,8 @@ def main() -> None:
         if not (o.clones / SETS[name].clone).is_dir():
             print(f"{o.clones / SETS[name].clone} is not there: {name} is left out")
             continue
-        rows[name] = run(name, o.clones, o.threads, o.report)
+        with judged_by(o.without):
+            rows[name] = run(name, o.clones, o.threads, o.report)
         write_rows(o.out, [rows[k] for k in sorted(rows)], FIELDS)
         print({k: rows[name][k] for k in FIELDS[:12]}, flush=True)
 
