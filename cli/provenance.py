@@ -19,7 +19,14 @@ from datamodules.atomic import remove_stale
 from idapt_pl.files import write_bytes, write_json
 from idapt_pl.modules.manual import computes_bfloat16
 from idapt_pl.rendering.make import filament_is_used
-from idapt_pl.run_folder.kept_config import changed_keys, filled, read_kept_config, read_run_json, without_retired
+from idapt_pl.run_folder.kept_config import (
+    changed_keys,
+    filled,
+    goes_further,
+    read_kept_config,
+    read_run_json,
+    without_retired,
+)
 from idapt_pl.stages.shortened import other_keys
 
 PACKAGES = ("idapt", "torch", "torchvision", "lightning", "mujoco", "dm-control", "gymnasium", "numpy", "h5py")
@@ -54,6 +61,8 @@ AT_ONCE = ("config.yaml", "run.json", "ledger.json")
 def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path, divided_by: float = 1.0) -> None:
     """Write ``config.yaml`` (complete, re-runnable) and ``run.json``; a resumed run must have the same config.
 
+    It may have more grounding steps, though.
+
     ``run.json`` says what the run was started with; every later start is added to its list ``resumed``.
 
     Args:
@@ -72,7 +81,10 @@ def write_provenance(parser: ArgumentParser, config: Namespace, run_dir: Path, d
     if kept is not None:
         defaults = yaml.safe_load(parser.dump(parser.get_defaults(), skip_none=False, skip_validation=True))
         before = read_run_json(run_dir).get("shortened_by", divided_by)
-        different = changed_keys(filled(without_retired(kept), defaults), asked)
+        old = filled(without_retired(kept), defaults)
+        different = [
+            k for k in changed_keys(old, asked) if k != "schedule.grounding_steps" or not goes_further(old, asked)
+        ]
         if different and begun:
             named = ", ".join(other_keys(different, before, divided_by))
             raise ValueError(

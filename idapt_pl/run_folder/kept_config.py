@@ -115,3 +115,13 @@ def changed_keys(old: dict, new: dict, prefix: str = "") -> list[str]:
         elif a != b:
             keys.append(f"{prefix}{key}")
     return keys
+
+
+def goes_further(old: dict, new: dict) -> bool:
+    """Whether a run is only asked for more grounding steps: what it has done does not depend on how many follow.
+
+    References and baselines do depend on it: they train for as long as all of a run's policies together.
+    """
+    before, now = (config["schedule"].get("grounding_steps") for config in (old, new))
+    alone = new.get("method", "idapt") == "idapt" and not new.get("oracle")
+    return alone and isinstance(before, int) and isinstance(now, int) and now > before

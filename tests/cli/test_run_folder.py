@@ -58,6 +58,21 @@ def test_the_command_that_a_refusal_tells_resumes_the_moved_run(moved, tiny_args
     assert main(["fit", "--config", str(moved / "config.yaml")]) == 0
 
 
+def test_a_finished_run_takes_more_grounding_steps_and_no_fewer(moved, finished_run, capsys):
+    args = ["fit", "--config", str(moved / "config.yaml"), "--schedule.grounding_steps"]
+    assert main([*args, "1"]) == 1
+    assert "(schedule.grounding_steps differ)" in " ".join(capsys.readouterr().err.split())
+    assert main([*args, "3", "--oracle", "true"]) == 1, "an oracle trains for as long as all policies together"
+    assert main([*args, "3"]) == 0
+    for name in ("step_01/policy/final.ckpt", "step_02/policy/final.ckpt", "step_02/target.h5"):
+        assert (moved / name).read_bytes() == (finished_run / name).read_bytes()
+    assert (moved / "step_03/policy/final.ckpt").exists() and (moved / "step_03/evaluation.json").exists()
+    before, now = (json.loads((run / "summary.json").read_text()) for run in (finished_run, moved))
+    more = yaml.safe_load((moved / "config.yaml").read_text())["schedule"]["interactions"]
+    assert now["target_interactions"] == before["target_interactions"] + more
+    assert main(["fit", "--config", str(moved / "config.yaml")]) == 0, "it is the run's config now"
+
+
 def test_run_dir_on_the_command_line_starts_another_run_from_the_same_config(moved, tmp_path):
     config = f"--config={moved / 'config.yaml'}"
     assert resumed_in_place([config]) == [config, f"--run_dir={moved}"]
