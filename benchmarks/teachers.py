@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -34,6 +35,8 @@ from idapt_pl.stage import load_finished
 from idapt_pl.tasks import Task
 
 KEY = ("run", "teacher")
+TEACHER = re.compile(r"(source_|hardened_)?teacher(_\d+)?")
+"""Stages that end with a teacher; those of encoders and filters are named after it, too."""
 
 
 def returns(task: Task, teacher: StateSAC, domain: Domain, episodes: int, seed: int) -> np.ndarray:
@@ -52,14 +55,16 @@ def measure(folder: Path, episodes: int, seed: int) -> list[dict]:
     """A row for each teacher of a run."""
     run = Run.open(folder)
     worlds, teacher, table = run.worlds, source_teacher(run.context), []
-    for path in sorted(folder.glob("step_*/*teacher/final.ckpt")):
+    paths = (p for p in folder.glob("step_*/*/final.ckpt") if TEACHER.fullmatch(p.parent.name))
+    for path in sorted(paths):
         load_finished(teacher, path)
         row = {"run": folder.name, "teacher": str(path.parent.relative_to(folder)), "episodes": episodes}
         for name, domain in (("source", worlds.source_domain), ("target", worlds.target_domain)):
             found = returns(worlds.task, teacher, domain, episodes, seed)
             row |= {name: round(float(found.mean()), 1), f"{name}_std": round(float(found.std()), 1)}
         evaluation = path.parents[1] / "evaluation.json"
-        taught = path.parent.name == "teacher" and evaluation.exists()
+        last = "hardened_teacher" if (path.parents[1] / "hardened_teacher/final.ckpt").exists() else "teacher"
+        taught = path.parent.name == last and evaluation.exists()
         result = json.loads(evaluation.read_text()) if taught else {}
         for k in ("grounded", "target"):
             row[f"policy_{k}"] = round(result[k]["mean"], 1) if taught else ""
