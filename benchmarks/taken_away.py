@@ -37,14 +37,12 @@ TEACHERS = r"teacher(_\d+)?|teacher_trials"
 SEARCH = r"control|effects|known_start_search"
 SOURCE = r"source_(start|policy)|source_(rehearsal|estimator|filter)_.*|direct_transfer"
 
-SOFT: dict[str, object] = {"teacher.harden": 0, "teacher.harden_every_step": "false"}
-
 PARTS: dict[str, tuple[dict[str, object], str]] = {
     "rounds": ({"teacher.rounds": 1}, r"(hardened_)?(rehearsal|estimator|filter)_policy_\d+"),
-    "hardening": (SOFT, HARDENED),
+    "hardening": ({"teacher.harden": 0}, HARDENED),
     "labels": ({"labels.members": 0}, f"{LABELS}|{LEARNED}|{HARDENED}"),
     "stronger teacher": (
-        {"teacher.adapt": 0, "teacher.candidates": 1} | SOFT,
+        {"teacher.adapt": 0, "teacher.candidates": 1, "teacher.harden": 0},
         f"{TEACHERS}|{LEARNED}|{HARDENED}",
     ),
     "effects": (  # and no variants within their intervals
@@ -52,8 +50,14 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
         f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}",
     ),
     "estimates": (  # a student without memory imitates the teacher on three frames
-        {"policy.memory": 0, "teacher.rehearse": 0, "teacher.dagger": 12000, "teacher.rounds": 1, "labels.members": 0}
-        | SOFT,
+        {
+            "policy.memory": 0,
+            "teacher.rehearse": 0,
+            "teacher.dagger": 12000,
+            "teacher.harden": 0,
+            "teacher.rounds": 1,
+            "labels.members": 0,
+        },
         f"{SOURCE}|estimator|{LABELS}|{LEARNED}|{HARDENED}",
     ),
 }

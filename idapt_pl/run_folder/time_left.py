@@ -93,7 +93,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
-    hardened = t.harden > 0 and (not k or costs["teacher"] > 0 or t.harden_every_step)  # else only when it is new
+    hardened = t.harden > 0 and (not k or costs["teacher"] > 0)  # whenever the teacher is another one
     costs |= learning_costs(config, lengths, lengths.policy, "", 1 if hardened else t.rounds)
     if hardened:
         again = {n: cost for n, cost in learning_costs(config, lengths, 0, "hardened_", t.rounds).items() if "_" in n}

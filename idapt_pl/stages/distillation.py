@@ -66,7 +66,6 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
-        harden_every_step: whether the teacher of earlier grounding steps does so too: estimates err less by then.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
         attempts: teachers of the plain source that are trained at most, one after another with other random numbers,
@@ -84,7 +83,6 @@ class TeacherSettings:
     fading: float = 0.5
     updates_per_step: float = 1.0
     harden: int = 0
-    harden_every_step: bool = False
     candidates: int = 1
     attempts: int = 3
 
@@ -110,8 +108,6 @@ class TeacherSettings:
                 f"teacher.harden is {self.harden}, but teacher.rehearse is 0: errors are measured in rehearsals. "
                 "Give both, or teacher.harden 0"
             )
-        if self.harden_every_step and not self.harden:
-            raise ValueError("teacher.harden_every_step is true, but teacher.harden is 0: give steps, or leave it out")
         if self.strays and not self.dagger:
             raise ValueError(
                 f"teacher.strays is {self.strays}, but they are DAgger's: give teacher.dagger, or no strays"
@@ -121,7 +117,7 @@ class TeacherSettings:
 
     def in_the_source(self) -> TeacherSettings:
         """The same teacher where no source is ever repaired or grounded: all its steps come before it is imitated."""
-        return replace(self, steps=self.steps + self.adapt + self.harden, adapt=0, harden=0, harden_every_step=False)
+        return replace(self, steps=self.steps + self.adapt + self.harden, adapt=0, harden=0)
 
 
 class DaggerExperience(Experience):
@@ -192,7 +188,6 @@ class Distillation:
         self._first: StateSAC | None = None  # before any adaptation
         self._dynamics: tuple | None = None  # those that the expert was trained in
         self._hardened: StateSAC | None = None
-        self._hardened_in = -1  # grounding step
 
     def student(
         self,
@@ -305,10 +300,10 @@ class Distillation:
         recipe = replace(self.worlds.task.expert, gamma=gamma, steps=steps)
         return recipe if F is None else replace(recipe, num_envs=self.num_envs)
 
-    def to_be_hardened(self, step: int) -> bool:
-        """Whether the teacher is one that has not yet learned to bear errors as they are measured now, and shall."""
-        bears_older = self.settings.harden_every_step and self._hardened_in != step
-        return self.settings.harden > 0 and (self.expert is not self._hardened or bears_older)
+    @property
+    def to_be_hardened(self) -> bool:
+        """Whether the teacher is one that has not yet learned to bear measured errors, and shall."""
+        return self.settings.harden > 0 and self.expert is not self._hardened
 
     def hardened(
         self, step: int, build: Callable[[], AsymmetricSAC], errors: Callable[[], Sequence[np.ndarray]],
@@ -324,7 +319,7 @@ class Distillation:
 
         build_expert: Callable[[], StateSAC] = partial(copy.deepcopy, known)
         self.expert = fit_expert(build_expert, make, recipe, self.stages, step, "hardened_teacher", False, errors)
-        self._hardened, self._hardened_in = self.expert, step
+        self._hardened = self.expert
         return self.expert
 
     def best_of(self, step: int, name: str, trained: Sequence[StateSAC]) -> int:

@@ -60,7 +60,7 @@ def fit_on_estimates(
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
     """
-    last = not prefix and not c.teacher.to_be_hardened(step)
+    last = not prefix and not c.teacher.to_be_hardened
     rounds = c.teacher.settings.rounds
     pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F, rounds if last else 1)
     if prefix or last:

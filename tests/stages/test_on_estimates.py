@@ -275,19 +275,6 @@ def test_a_run_hardens_every_teacher_that_is_new_and_rehearses_with_it(run):
     assert (run / "step_01/trial_rehearsal.h5").exists()
 
 
-def test_a_teacher_goes_on_in_every_step_where_a_run_asks_for_it(tmp_path):
-    values = ON_ESTIMATES | {"schedule.action_transformation": "false", "teacher.harden_every_step": "true"}
-    assert main(["fit", *options("pendulum_quick", tmp_path / "run", values)]) == 0
-
-    def head(step, stage):
-        file = tmp_path / f"run/step_{step:02d}/{stage}/final.ckpt"
-        return torch.load(file, weights_only=True)["state_dict"]["actor.head.2.weight"]
-
-    assert not (tmp_path / "run/step_01/teacher").exists(), "without F or another source it is the one of step 0"
-    assert not torch.equal(head(0, "hardened_teacher"), head(1, "hardened_teacher"))
-    assert torch.equal(head(1, "hardened_teacher"), head(1, "policy"))
-
-
 def test_a_run_rehearses_in_rounds_with_the_last_teacher_of_a_step(run):
     rounds = {path.stem for path in run.glob("step_*/*rehearsal_policy_2.h5")}
     assert rounds == {"hardened_rehearsal_policy_2"}
