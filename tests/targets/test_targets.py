@@ -71,6 +71,14 @@ class CartPole(gymnasium.Env):
         return self.picture(), float(not fallen), fallen, False, {}
 
 
+class Steady(CartPole):
+    """Not over before its horizon, whatever a policy does that has learned nothing."""
+
+    def step(self, action):
+        picture, reward, _, over, told = super().step(action)
+        return picture, reward, False, over, told
+
+
 def slow() -> gymnasium.Env:
     env = CartPole()
     env.dt = 0.1
@@ -183,7 +191,7 @@ def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fail
 
     monkeypatch.setattr("builtins.input", answer)
     run = tmp_path / "run"
-    config = written(tmp_path, env="my_lab:CartPole", name="lab cart", measure="ask", horizon=8)
+    config = written(tmp_path, env="my_lab:Steady", name="lab cart", measure="ask", horizon=8)
     command = ["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]
     command += ["--episodes", "3", "--side_by_side", "true"]  # which must not be: there is one robot
     (tmp_path / "unplugged").write_text("70")  # 60 are recorded; one episode of 8, and two steps
@@ -215,7 +223,7 @@ def test_a_person_judges_and_nothing_that_was_judged_is_lost_when_the_robot_fail
 def test_what_was_judged_of_a_correspondence_is_kept_too_when_the_robot_fails(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("builtins.input", lambda text: "2.5")
     run = tmp_path / "run"
-    config = written(tmp_path, env="my_lab:CartPole", name="lab cart", measure="ask", horizon=8)
+    config = written(tmp_path, env="my_lab:Steady", name="lab cart", measure="ask", horizon=8)
     command = ["fit", "--config", str(config), "--run_dir", str(run), "--schedule.grounding_steps", "0"]
     command += ["--episodes", "3", "--method", "cc_image"]
     (tmp_path / "unplugged").write_text("94")  # 60 are recorded, 24 direct transfer; one episode of 8, two steps
