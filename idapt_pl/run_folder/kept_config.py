@@ -123,5 +123,5 @@ def goes_further(old: dict, new: dict) -> bool:
     References and baselines do depend on it: they train for as long as all of a run's policies together.
     """
     before, now = (config["schedule"].get("grounding_steps") for config in (old, new))
-    alone = new.get("method", "idapt") == "idapt" and not new.get("oracle")
+    alone = new.get("method", "idapt") == "idapt" and not (old.get("oracle") or new.get("oracle"))
     return alone and isinstance(before, int) and isinstance(now, int) and now > before

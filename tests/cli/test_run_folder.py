@@ -17,6 +17,7 @@ from cli.provenance import claim
 from cli.run_folder import resumed_in_place
 from idapt_pl.files import write_json
 from idapt_pl.run import Run
+from idapt_pl.run_folder.kept_config import goes_further
 
 
 @pytest.fixture
@@ -71,6 +72,17 @@ def test_a_finished_run_takes_more_grounding_steps_and_no_fewer(moved, finished_
     more = yaml.safe_load((moved / "config.yaml").read_text())["schedule"]["interactions"]
     assert now["target_interactions"] == before["target_interactions"] + more
     assert main(["fit", "--config", str(moved / "config.yaml")]) == 0, "it is the run's config now"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "further"),
+    [({}, {}, True), ({"oracle": True}, {}, False), ({}, {"oracle": True}, False), ({}, {"method": "oracle"}, False)],
+    ids=["alone", "an oracle before", "an oracle now", "a reference"],
+)
+def test_nothing_that_trains_as_long_as_all_policies_together_goes_further(old, new, further):
+    one, two = ({"schedule": {"grounding_steps": n}} for n in (1, 2))
+    assert goes_further(one | old, two | new) is further
+    assert not goes_further(two | old, one | new) and not goes_further(one | old, one | new)
 
 
 def test_run_dir_on_the_command_line_starts_another_run_from_the_same_config(moved, tmp_path):
