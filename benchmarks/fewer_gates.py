@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-import tempfile
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -26,16 +25,13 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
-import mujoco
-from benchmarks.gates import hidden
-from benchmarks.reliability import MODELS, poorly
+from benchmarks.gates import recorded
+from benchmarks.reliability import MODELS
 from benchmarks.several_effects import matched, truth_of
 from benchmarks.tables import read_rows, write_rows
-from benchmarks.undeclared.generate import generate
 from tqdm import tqdm
 
 from cli.provenance import git_commit
-from datamodules import read_trajectories
 from idapt_pl.diagnosis import acceptance
 from idapt_pl.diagnosis.gates import GATES, Judged, objections
 from idapt_pl.diagnosis.search import diagnose
@@ -94,15 +90,12 @@ def judged_by(without: Collection[str]) -> Iterator[Fewer]:
 
 def run(model: str, count: int, seed: int, without: Collection[str]) -> dict:
     """Record, and diagnose once or twice."""
-    drawn, poor = hidden(model, count, seed), (MODELS.index(model) + count + seed) % 2 == 1
-    with tempfile.TemporaryDirectory() as folder:
-        nominal, measured = generate(drawn.case, seed, Path(folder))
-        spec, data = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
+    drawn, spec, data, how = recorded(model, count, seed)
 
     def answer(left_out: Collection[str]) -> tuple[dict, bool]:
         started = time.perf_counter()
         with judged_by(left_out) as fewer:
-            report = diagnose(spec, poorly(data) if poor else data, seed=seed).report
+            report = diagnose(spec, data, seed=seed).report
         effects = [e for e in report["effects"] if e["effect"] != "numerics"]
         missed, extra = matched(drawn.answers, effects)
         found = " + ".join(f"{e['effect']}({e['target']})" for e in effects)
@@ -117,7 +110,7 @@ def run(model: str, count: int, seed: int, without: Collection[str]) -> dict:
     fewer, parted = answer(without)
     whole = answer(())[0] if parted else fewer
     return {
-        "model": model, "hidden": count, "seed": seed, "recorded": "poorly" if poor else "well",
+        "model": model, "hidden": count, "seed": seed, "recorded": how,
         "truth": truth_of(drawn), "without": " ".join(without), "parted": int(parted), **fewer,
         **{f"{k}_all": v for k, v in whole.items()}, "commit": git_commit(),
     }  # fmt: skip
@@ -130,11 +123,11 @@ def summarise(rows: list[dict]) -> str:
         "with all | without these |",
         "|" + "---|" * 8,
     ]
-    for without, recorded in sorted({(r["without"], r["recorded"]) for r in rows}):
-        of = [r for r in rows if (r["without"], r["recorded"]) == (without, recorded)]
+    for without, how in sorted({(r["without"], r["recorded"]) for r in rows}):
+        of = [r for r in rows if (r["without"], r["recorded"]) == (without, how)]
         told = (sum(int(r[k]) for r in of) for k in ("parted", "exact_all", "exact", "extra_all", "extra"))
         names = ", ".join(f"`{name}`" for name in without.split())
-        lines.append(f"| {names} | {recorded} | {len(of)} | " + " | ".join(map(str, told)) + " |")
+        lines.append(f"| {names} | {how} | {len(of)} | " + " | ".join(map(str, told)) + " |")
     return "\n".join(lines)
 
 

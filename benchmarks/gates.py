@@ -35,7 +35,7 @@ from benchmarks.undeclared.generate import generate
 from tqdm import tqdm
 
 from cli.provenance import git_commit
-from datamodules import read_trajectories
+from datamodules import Trajectories, read_trajectories
 from idapt_pl.diagnosis import acceptance, search
 from idapt_pl.diagnosis.acceptance import accept
 from idapt_pl.diagnosis.gates import GATES, Judged, objections
@@ -120,17 +120,23 @@ def hidden(model: str, count: int, seed: int) -> Drawn:
     return Drawn(nothing, ())
 
 
-def run(model: str, count: int, seed: int) -> list[dict]:
-    """Record, diagnose and look on."""
+def recorded(model: str, count: int, seed: int) -> tuple[Drawn, mujoco.MjSpec, Trajectories, str]:
+    """What is hidden, the nominal model, its recordings, and how these were made: every second case poorly."""
     drawn, poor = hidden(model, count, seed), (MODELS.index(model) + count + seed) % 2 == 1
     with tempfile.TemporaryDirectory() as folder:
         nominal, measured = generate(drawn.case, seed, Path(folder))
         spec, data = mujoco.MjSpec.from_file(str(nominal)), read_trajectories(measured)
+    return drawn, spec, poorly(data) if poor else data, "poorly" if poor else "well"
+
+
+def run(model: str, count: int, seed: int) -> list[dict]:
+    """Record, diagnose and look on."""
+    drawn, spec, data, how = recorded(model, count, seed)
     started = time.perf_counter()
     with watched(drawn) as watch:
-        diagnose(spec, poorly(data) if poor else data, seed=seed)
+        diagnose(spec, data, seed=seed)
     common = {
-        "model": model, "hidden": count, "seed": seed, "recorded": "poorly" if poor else "well",
+        "model": model, "hidden": count, "seed": seed, "recorded": how,
         "truth": truth_of(drawn), "seconds": round(time.perf_counter() - started, 1), "commit": git_commit(),
     }  # fmt: skip
     return [common | row for row in watch.rows] or [common]

@@ -44,6 +44,6 @@ def test_afterwards_all_gates_are_back():
 
 def test_a_case_is_recorded_searched_and_told():
     row = run("inverted_pendulum", 1, 1, NEVER_ALONE)
-    assert row["exact"] == row["exact_all"] == 1 and row["found"] in row["found_all"] and row["loss"] < 2
+    assert row["exact"] == row["exact_all"] == 1 and row["found"] and row["loss"] < 2
     table = summarise([row | {"without": "noticeable", "recorded": "well"}])
     assert table.splitlines()[-1] == f"| `noticeable` | well | 1 | {row['parted']} | 1 | 1 | 0 | 0 |"

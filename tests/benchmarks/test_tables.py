@@ -24,25 +24,24 @@ def test_a_run_of_step_0_alone_has_no_last_step():
     assert tables.by_stage([row(0, "", 1), row(0, "0", 2)]) == [[1], [2], []]
 
 
+def walkers(folder, interactions, last):
+    """Tables of one run of walker_hard with so many grounding steps, whose returns count up from 1."""
+    (folder / "bounds.csv").write_text("task,domain,policy,metric,mean\nwalker2d,hard,oracle,return,10\n")
+    rows = ["direct transfer,0,,1", "visual only,0,0,2", *(f"IDAPT,0,{k},{k + 2}" for k in range(1, last + 1))]
+    (folder / "walker_hard.csv").write_text(
+        "\n".join(["task,run,method,seed,grounding_step,mean,target_interactions",
+                   *(f"walker2d,IDAPT,{row},{interactions}" for row in rows), ""])
+    )  # fmt: skip
+    return folder
+
+
 def test_a_config_that_was_not_run_has_no_row(tmp_path):
-    (tmp_path / "bounds.csv").write_text("task,domain,policy,metric,mean\nwalker2d,hard,oracle,return,10\n")
-    (tmp_path / "walker_hard.csv").write_text(
-        "task,run,method,seed,grounding_step,mean,target_interactions\n"
-        "walker2d,IDAPT,direct transfer,0,,1,8000\nwalker2d,IDAPT,visual only,0,0,2,8000\n"
-        "walker2d,IDAPT,IDAPT,0,1,3,8000\n"
-    )
-    (line,) = tables.summary(tmp_path).splitlines()[2:]
+    (line,) = tables.summary(walkers(tmp_path, 8000, 1)).splitlines()[2:]
     assert line == "| `walker_hard`, return | 1 | 8,000 | 1 | 2 | 3 | 10 | 1930 |"
 
 
 def test_a_config_that_another_begins_with_has_its_first_steps(tmp_path):
-    (tmp_path / "bounds.csv").write_text("task,domain,policy,metric,mean\nwalker2d,hard,oracle,return,10\n")
-    (tmp_path / "walker_hard.csv").write_text(
-        "task,run,method,seed,grounding_step,mean,target_interactions\n"
-        "walker2d,IDAPT,direct transfer,0,,1,6000\nwalker2d,IDAPT,visual only,0,0,2,6000\n"
-        "walker2d,IDAPT,IDAPT,0,1,3,6000\nwalker2d,IDAPT,IDAPT,0,2,4,6000\n"
-    )
-    (line,) = tables.summary(tmp_path, "quick").splitlines()[2:]
+    (line,) = tables.summary(walkers(tmp_path, 6000, 2), "quick").splitlines()[2:]
     assert line == "| `walker_quick`, return | 1 | 5,000 | 1 | 2 | 3 | 10 | 1930 |"
 
 
