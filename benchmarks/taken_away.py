@@ -42,9 +42,10 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
     "hardening": ({"teacher.harden": 0}, HARDENED),
     "labels": ({"labels.members": 0}, f"{LABELS}|{LEARNED}|{HARDENED}"),
     "stronger teacher": (
-        {"teacher.adapt": 0, "teacher.candidates": 1, "teacher.harden": 0},
+        {"teacher.adapt": 0, "teacher.candidates": 1, "teacher.afresh": 0, "teacher.harden": 0},
         f"{TEACHERS}|{LEARNED}|{HARDENED}",
     ),
+    "beginning afresh": ({"teacher.afresh": 0}, f"{TEACHERS}|{LEARNED}|{HARDENED}"),
     "effects": (  # and no variants within their intervals
         {"effects.discover": "false", "randomisation.ranges": "null"},
         f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}",

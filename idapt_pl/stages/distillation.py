@@ -68,6 +68,7 @@ class TeacherSettings:
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
+        afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
         attempts: teachers of the plain source that are trained at most, one after another with other random numbers,
             until one reaches the goal in half of its episodes there. Of tasks whose metric is success.
     """
@@ -84,6 +85,7 @@ class TeacherSettings:
     updates_per_step: float = 1.0
     harden: int = 0
     candidates: int = 1
+    afresh: int = 0
     attempts: int = 3
 
     def __post_init__(self) -> None:
@@ -94,7 +96,7 @@ class TeacherSettings:
             vars(self),
             ranges
             | errors
-            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]")}
+            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]"), "afresh": Range(0, self.candidates)}
             | dict.fromkeys(("candidates", "attempts", "rounds"), Range(1, 100)),
         )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
@@ -243,7 +245,7 @@ class Distillation:
         policy = build().hparams  # its critics are to be the student's
         recipe = self.recipe(F, policy.gamma, self.settings.steps if fresh else self.settings.adapt)
 
-        def build_expert() -> StateSAC:
+        def build_expert(known: StateSAC | None) -> StateSAC:
             bounds: dict[str, Any] = self.worlds.action_bounds
             same = {name: policy[name] for name in ("hidden", "gamma", "actor_every")}
             same |= {"noise": self.settings.noise, "offset": self.settings.offset}
@@ -255,13 +257,13 @@ class Distillation:
         def make(device: torch.device) -> VectorEnv:
             return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
 
-        def train(n: str) -> StateSAC:
-            return fit_expert(build_expert, make, recipe, self.stages, step, n, fresh)
+        def train(n: str, anew: bool) -> StateSAC:
+            return fit_expert(partial(build_expert, None if anew else known), make, recipe, self.stages, step, n, anew)
 
         if fresh:
-            self.expert = self.first_to_succeed(step, name, train)
+            self.expert = self.first_to_succeed(step, name, partial(train, anew=True))
         else:
-            self.expert = self.best_of_several(step, name, train, self.settings.candidates if F is None else 1)
+            self.expert = self.best_of_several(step, name, train) if F is None else train(name, anew=False)
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
@@ -287,12 +289,15 @@ class Distillation:
 
         return float(self.stages.measure(step, name, make)["success"])
 
-    def best_of_several(self, step: int, name: str, train: Callable[[str], StateSAC], count: int) -> StateSAC:
-        """The best in the source of so many teachers that are trained beside one another."""
-        names = [numbered(name, i) for i in range(1, count + 1)]
-        checkpoints = {n: self.stages.folder(step) / n / "final.ckpt" for n in names[1:]}
-        others = [self.aside(f"{n}_of_step_{step}", last, partial(train, n)) for n, last in checkpoints.items()]
-        trained = [train(name), *(trained_aside() for trained_aside in others)]
+    def best_of_several(self, step: int, name: str, train: Callable[[str, bool], StateSAC]) -> StateSAC:
+        """The best in the source of several teachers that are trained beside one another."""
+        count, going_on = self.settings.candidates, self.settings.candidates - self.settings.afresh
+        anew = {numbered(name, i): i > going_on for i in range(1, count + 1)}
+        others = [
+            self.aside(f"{n}_of_step_{step}", self.stages.folder(step) / n / "final.ckpt", partial(train, n, anew[n]))
+            for n in [*anew][1:]
+        ]
+        trained = [train(name, anew[name]), *(trained_aside() for trained_aside in others)]
         return trained[self.best_of(step, name, trained)]
 
     def recipe(self, F: ActionTransformation | None, gamma: float, steps: int) -> ExpertRecipe:

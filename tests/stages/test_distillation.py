@@ -19,9 +19,11 @@ from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv, VectorStateEn
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.report.run_record import ORDER
+from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import MisledTeacher, noisy_return
 from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages import distillation
 from idapt_pl.stages.collection import explorer
 from idapt_pl.stages.distillation import (
     LABELLED,
@@ -275,6 +277,30 @@ def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_repaired_sou
     weights = teaching.expert.state_dict()
     same = [all(torch.equal(weights[k], v) for k, v in each.items()) for each in kept]
     assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
+
+
+def test_the_last_of_several_teachers_begin_afresh(teaching, monkeypatch):
+    """The others go on from what was learned in the plain source."""
+    teaching.settings = replace(teaching.settings, candidates=3, afresh=2)
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    known, begun = teaching.expert.state_dict(), {}
+
+    def fit(build, make, recipe, stages, step, name, fresh):
+        going_on = all(torch.equal(v, known[k]) for k, v in build().state_dict().items())
+        assert fresh != going_on, "what begins anew warms up with random actions and takes its scale from them"
+        begun[name] = fresh
+        return fit_expert(build, make, recipe, stages, step, name, fresh)
+
+    monkeypatch.setattr(distillation, "fit_expert", fit)
+    teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    student(0, "")
+    assert begun == {"teacher": False, "teacher_2": True, "teacher_3": True}
+
+
+def test_no_more_teachers_begin_afresh_than_there_are():
+    with pytest.raises(ValueError, match=r"afresh.* 3"):
+        TeacherSettings(steps=10, dagger=10, candidates=2, afresh=3)
 
 
 @pytest.mark.parametrize(("reached", "stages"), [(True, 1), (False, 3)])
