@@ -68,9 +68,9 @@ class Worlds:
         """The source: state and reward; nothing is rendered."""
         return VectorStateEnv(self.task, self.source_domain, num_envs)
 
-    def training_states(self, num_envs: int) -> VectorStateEnv:
-        """As :meth:`training_source`, with state and reward; nothing is rendered."""
-        return VectorStateEnv(self.task, self.source_domain, num_envs, self.variants)
+    def training_states(self, num_envs: int, horizon: int = 0) -> VectorStateEnv:
+        """As :meth:`training_source`, with state and reward; nothing is rendered. Episodes may be cut early."""
+        return VectorStateEnv(self.task, self.source_domain, num_envs, self.variants, horizon)
 
     def grounded(
         self, num_envs: int, G: VisualTransformation | None = None, F: ActionTransformation | None = None

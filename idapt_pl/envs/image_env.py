@@ -42,6 +42,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         render_processes: further processes that render, where there are several simulations (``ParallelRenderer``).
         variants: worlds that episodes begin in, in place of ``domain`` (domain randomisation): shuffled, and each once
             before any comes again.
+        horizon: control steps after which episodes are cut; 0 is the task's.
     """
 
     single_action_space: gymnasium.spaces.Box
@@ -58,7 +59,9 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         view: View = WHOLE,
         render_processes: int = 0,
         variants: Sequence[Domain] = (),
+        horizon: int = 0,
     ) -> None:
+        self.horizon = horizon or task.horizon
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.model = domain.compile(view)
@@ -119,7 +122,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
             rewards[i], terminations[i] = self.task.step(models[i], data, actions[i])
         self._look()
         self._elapsed += 1
-        truncations = (self._elapsed >= self.task.horizon) & ~terminations
+        truncations = (self._elapsed >= self.horizon) & ~terminations
         done = terminations | truncations
         infos: dict[str, Any] = {}
         if self.task.metric == "success":

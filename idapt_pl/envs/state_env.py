@@ -41,10 +41,13 @@ class VectorStateEnv(VectorImageEnv):
         domain: the world it is played in.
         num_envs: number of simulations.
         variants: as of :class:`VectorImageEnv`.
+        horizon: likewise.
     """
 
-    def __init__(self, task: Task, domain: Domain, num_envs: int = 1, variants: Sequence[Domain] = ()) -> None:
-        super().__init__(task, domain, num_envs, image_size=1, frame_stack=1, variants=variants)
+    def __init__(
+        self, task: Task, domain: Domain, num_envs: int = 1, variants: Sequence[Domain] = (), horizon: int = 0
+    ) -> None:
+        super().__init__(task, domain, num_envs, image_size=1, frame_stack=1, variants=variants, horizon=horizon)
         states = self.single_observation_space["state"]
         self.single_observation_space = gymnasium.spaces.Dict({"pixels": states, "state": states})
         self.observation_space = cast(gymnasium.spaces.Dict, batch_space(self.single_observation_space, num_envs))

@@ -255,7 +255,8 @@ class Distillation:
             return expert
 
         def make(device: torch.device) -> VectorEnv:
-            return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+            n, cut = recipe.num_envs, recipe.horizon
+            return self.worlds.training_states(n, cut) if F is None else StatesOnly(make_env(device))
 
         def train(n: str, anew: bool) -> StateSAC:
             return fit_expert(partial(build_expert, None if anew else known), make, recipe, self.stages, step, n, anew)
