@@ -1,6 +1,8 @@
 """Policies on states, and the datasets they make."""
 
 import json
+from contextlib import closing
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -35,6 +37,30 @@ def test_state_environment_plays_as_the_image_environment_does(cart):
             np.testing.assert_array_equal(x, y)
         assert ("final_obs" in a[4]) == ("final_obs" in b[4])
     images.close(), states.close()
+
+
+def test_episodes_are_cut_as_by_a_time_limit(cart):
+    """The other limit is the task's; a cut is no end of the task, so what comes after counts for a policy's value."""
+    with closing(VectorStateEnv(cart, cart.domain("source"), 2, horizon=3)) as env:
+        env.reset(seed=3)
+        played = [env.step(np.zeros((2, 1), np.float32)) for _ in range(4)]
+    assert [(bool(ended.any()), bool(cut.all())) for _, _, ended, cut, _ in played] == [
+        (False, False), (False, False), (False, True), (False, False),
+    ]  # fmt: skip
+    assert "final_obs" in played[2][4]
+
+
+def test_experts_train_in_episodes_of_their_recipe_and_are_measured_in_whole_ones(cart, tmp_path, monkeypatch):
+    horizons = []
+    begin = VectorStateEnv.__init__
+    monkeypatch.setattr(
+        VectorStateEnv, "__init__", lambda self, *a, **k: (begin(self, *a, **k), horizons.append(self.horizon))[0]
+    )
+    policy = train_expert(
+        cart, cart.domain("source"), replace(QUICK, horizon=7), Stages(tmp_path, 0, cpu_trainer), "policy"
+    )
+    measure_expert(policy, cart, cart.domain("source"), 1, seed=0)
+    assert horizons == [7, cart.horizon]
 
 
 def test_expert_is_trained_once_and_the_same_each_time(cart, tmp_path):

@@ -298,6 +298,21 @@ def test_the_last_of_several_teachers_begin_afresh(teaching, monkeypatch):
     assert begun == {"teacher": False, "teacher_2": True, "teacher_3": True}
 
 
+def test_teachers_train_in_episodes_of_the_tasks_recipe_and_are_compared_in_whole_ones(teaching, monkeypatch):
+    task, cuts = teaching.worlds.task, []
+    monkeypatch.setattr(task, "expert", replace(task.expert, horizon=5), raising=False)
+    teaching.settings = replace(teaching.settings, candidates=2)
+    student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
+    student(0, "source_")
+    make = type(teaching.worlds).training_states
+    monkeypatch.setattr(
+        type(teaching.worlds), "training_states", lambda self, n, cut=0: (cuts.append(cut), make(self, n, cut))[1]
+    )
+    teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    student(0, "")
+    assert cuts == [5, 5, 0]
+
+
 def test_no_more_teachers_begin_afresh_than_there_are():
     with pytest.raises(ValueError, match=r"afresh.* 3"):
         TeacherSettings(steps=10, dagger=10, candidates=2, afresh=3)
