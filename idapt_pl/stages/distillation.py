@@ -66,11 +66,12 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
-        candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
-            that earns most there, on states as wrong as in training.
-        afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
-        attempts: teachers of the plain source that are trained at most, one after another with other random numbers,
-            until one reaches the goal in half of its episodes there. Of tasks whose metric is success.
+        candidates: teachers that are trained, with other random numbers, in the plain source (unless ``attempts`` are
+            made) and where it was repaired. The one goes on that earns most there, on states as wrong as in training.
+        afresh: how many of those for a repaired source, the last ones, begin anew: what was learned in the plain one
+            can be in the way.
+        attempts: of tasks whose metric is success, teachers of the plain source that are trained at most, one after
+            another with other random numbers, until one reaches the goal in half of its episodes there.
     """
 
     steps: int = 0
@@ -261,17 +262,18 @@ class Distillation:
         def train(n: str, anew: bool) -> StateSAC:
             return fit_expert(partial(build_expert, None if anew else known), make, recipe, self.stages, step, n, anew)
 
-        if fresh:
+        if fresh and self.worlds.task.metric == "success":
             self.expert = self.first_to_succeed(step, name, partial(train, anew=True))
         else:
-            self.expert = self.best_of_several(step, name, train) if F is None else train(name, anew=False)
+            count, anew = (self.settings.candidates, self.settings.afresh) if F is None else (1, 0)
+            self.expert = self.best_of_several(step, name, train, count, count if fresh else anew)
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
     def first_to_succeed(self, step: int, name: str, train: Callable[[str], StateSAC]) -> StateSAC:
         """A teacher that reaches the task's goal in the source, or the best of all attempts."""
         trained, rates = [train(name)], []
-        if self.worlds.task.metric != "success" or self.settings.attempts == 1:
+        if self.settings.attempts == 1:
             return trained[0]
         while True:
             rates.append(self.success(step, numbered(f"{name}_success", len(trained)), trained[-1]))
@@ -290,10 +292,11 @@ class Distillation:
 
         return float(self.stages.measure(step, name, make)["success"])
 
-    def best_of_several(self, step: int, name: str, train: Callable[[str, bool], StateSAC]) -> StateSAC:
-        """The best in the source of several teachers that are trained beside one another."""
-        count, going_on = self.settings.candidates, self.settings.candidates - self.settings.afresh
-        anew = {numbered(name, i): i > going_on for i in range(1, count + 1)}
+    def best_of_several(
+        self, step: int, name: str, train: Callable[[str, bool], StateSAC], count: int, afresh: int
+    ) -> StateSAC:
+        """The best in the source of so many teachers, trained beside one another, the last of which begin anew."""
+        anew = {numbered(name, i): i > count - afresh for i in range(1, count + 1)}
         others = [
             self.aside(f"{n}_of_step_{step}", self.stages.folder(step) / n / "final.ckpt", partial(train, n, anew[n]))
             for n in [*anew][1:]
