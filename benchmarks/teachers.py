@@ -5,7 +5,8 @@
 A teacher that does as well in the target as in the source, with the effects that the run found there, has nothing to
 learn of dynamics; what its student, the policy that sees images, does worse in the target than in the grounded source
 is then lost in seeing. Evaluation only: the target's states are looked at. Writes results/teachers.csv, a row a
-teacher; ``policy_grounded`` and ``policy_target`` are of the run's evaluation.json.
+teacher: ``plain`` is the source as it was given, ``source`` as it was repaired; ``policy_grounded`` and
+``policy_target`` are of the run's evaluation.json.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ from idapt_pl.stage import load_finished
 from idapt_pl.tasks import Task
 
 KEY = ("run", "teacher")
+FIELDS = (
+    "run", "teacher", "episodes", "plain", "plain_std", "source", "source_std", "target", "target_std",
+    "policy_grounded", "policy_target", "commit",
+)  # fmt: skip
 TEACHER = re.compile(r"(source_|hardened_)?teacher(_\d+)?")
 """Stages that end with a teacher; those of encoders and filters are named after it, too."""
 
@@ -59,7 +64,8 @@ def measure(folder: Path, episodes: int, seed: int) -> list[dict]:
     for path in sorted(paths):
         load_finished(teacher, path)
         row = {"run": folder.name, "teacher": str(path.parent.relative_to(folder)), "episodes": episodes}
-        for name, domain in (("source", worlds.source_domain), ("target", worlds.target_domain)):
+        domains = {"plain": worlds.first_source, "source": worlds.source_domain, "target": worlds.target_domain}
+        for name, domain in domains.items():
             found = returns(worlds.task, teacher, domain, episodes, seed)
             row |= {name: round(float(found.mean()), 1), f"{name}_std": round(float(found.std()), 1)}
         evaluation = path.parents[1] / "evaluation.json"
@@ -83,7 +89,7 @@ def main() -> None:
     for run in o.runs:
         rows = measure(run, o.episodes, o.seed)
         print(*rows, sep="\n", flush=True)
-        replace_rows(o.out, rows, KEY)
+        replace_rows(o.out, rows, KEY, FIELDS)
 
 
 if __name__ == "__main__":
