@@ -66,10 +66,10 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
-        candidates: teachers that are trained, with other random numbers, in the plain source (unless ``attempts`` are
-            made) and where it was repaired. The one goes on that earns most there, on states as wrong as in training.
-        afresh: how many of those for a repaired source, the last ones, begin anew: what was learned in the plain one
-            can be in the way.
+        candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
+            that earns most there, on states as wrong as in training.
+        afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
+        source_candidates: as ``candidates``, in the plain source, of tasks that make no ``attempts``.
         attempts: of tasks whose metric is success, teachers of the plain source that are trained at most, one after
             another with other random numbers, until one reaches the goal in half of its episodes there.
     """
@@ -87,6 +87,7 @@ class TeacherSettings:
     harden: int = 0
     candidates: int = 1
     afresh: int = 0
+    source_candidates: int = 1
     attempts: int = 3
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class TeacherSettings:
             ranges
             | errors
             | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]"), "afresh": Range(0, self.candidates)}
-            | dict.fromkeys(("candidates", "attempts", "rounds"), Range(1, 100)),
+            | dict.fromkeys(("candidates", "source_candidates", "attempts", "rounds"), Range(1, 100)),
         )
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
@@ -264,9 +265,13 @@ class Distillation:
 
         if fresh and self.worlds.task.metric == "success":
             self.expert = self.first_to_succeed(step, name, partial(train, anew=True))
+        elif fresh:
+            count = self.settings.source_candidates
+            self.expert = self.best_of_several(step, name, train, count, afresh=count)
+        elif F is None:
+            self.expert = self.best_of_several(step, name, train, self.settings.candidates, self.settings.afresh)
         else:
-            count, anew = (self.settings.candidates, self.settings.afresh) if F is None else (1, 0)
-            self.expert = self.best_of_several(step, name, train, count, count if fresh else anew)
+            self.expert = train(name, anew=False)
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 

@@ -264,7 +264,7 @@ def test_a_taught_run_that_lost_its_last_step_repeats_it_bitwise(taught_run):
 
 
 def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_source_as_it_is_and_repaired(teaching, tmp_path):
-    teaching.settings = replace(teaching.settings, candidates=3, noise=0.1)
+    teaching.settings = replace(teaching.settings, candidates=3, source_candidates=3, noise=0.1)
     student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
     for prefix in ("source_", ""):
         student(0, prefix)
