@@ -39,7 +39,7 @@ SHOWN = (
     ("sawyer_push", "sawyer", {"run": "IDAPT"}),
 )
 """Rows of README's table: task, its tables, and which of their rows. The rest is in the table of every run."""
-FIRST_STEPS = {"walker_quick": ("walker_hard", 1, 5000)}
+FIRST_STEPS = {"cheetah_quick": ("cheetah_hard", 1, 5000), "walker_quick": ("walker_hard", 1, 5000)}
 """Configs that are another one's first grounding steps: its table, how many, the target's control steps up to there."""
 
 

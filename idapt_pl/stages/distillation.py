@@ -98,9 +98,10 @@ class TeacherSettings:
             vars(self),
             ranges
             | errors
-            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]"), "afresh": Range(0, self.candidates)}
+            | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]")}
             | dict.fromkeys(("candidates", "source_candidates", "attempts", "rounds"), Range(1, 100)),
         )
+        check_ranges("teacher", {"afresh": self.afresh}, {"afresh": Range(0, self.candidates)})
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
             raise ValueError(
                 f"teacher.steps is {self.steps}, teacher.dagger {self.dagger} and teacher.rehearse {self.rehearse}: "
