@@ -116,7 +116,7 @@ class RunConfig:
             "--task_options",
             type=dict[str, Any],
             default={},
-            help="of others: action_repeat, camera, expert_steps, expert_horizon, and what its constructor takes",
+            help="of a task that is none of these: action_repeat, camera, expert_steps, and what its constructor takes",
         )
         parser.add_argument(
             "--target",

@@ -23,7 +23,7 @@ from idapt_pl.tasks.recipe import ExpertRecipe
 
 def train_expert(task: Task, domain: Domain, recipe: ExpertRecipe, stages: Stages, name: str) -> StateSAC:
     """SAC on states in one domain; a policy that is in the stages' folder is loaded instead."""
-    env = VectorStateEnv(task, domain, recipe.num_envs, horizon=recipe.horizon)
+    env = VectorStateEnv(task, domain, recipe.num_envs)
     low, high = (bound.tolist() for bound in (env.single_action_space.low, env.single_action_space.high))
     with closing(env):
         build = lambda: StateSAC(env.state_dim, low, high, gamma=recipe.gamma)  # noqa: E731

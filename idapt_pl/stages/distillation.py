@@ -66,6 +66,9 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
+        horizon: control steps after which its episodes are cut while it trains, as by a time limit, but not while it is
+            hardened or where there is an F; 0 is the task's. A robot that fell, and whose episode goes on, otherwise
+            learns mostly how to get along on its back.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
         afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
@@ -85,13 +88,14 @@ class TeacherSettings:
     fading: float = 0.5
     updates_per_step: float = 1.0
     harden: int = 0
+    horizon: int = 0
     candidates: int = 1
     afresh: int = 0
     source_candidates: int = 1
     attempts: int = 3
 
     def __post_init__(self) -> None:
-        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden"), COUNT_OR_NONE)
+        ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden", "horizon"), COUNT_OR_NONE)
         errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
         check_ranges(
             "teacher",
@@ -258,7 +262,7 @@ class Distillation:
             return expert
 
         def make(device: torch.device) -> VectorEnv:
-            n, cut = recipe.num_envs, recipe.horizon
+            n, cut = recipe.num_envs, self.settings.horizon
             return self.worlds.training_states(n, cut) if F is None else StatesOnly(make_env(device))
 
         def train(n: str, anew: bool) -> StateSAC:

@@ -12,6 +12,7 @@ import numpy as np
 
 from idapt_pl.effects import Domain
 from idapt_pl.effects.visual import CAMERA, CameraPose
+from idapt_pl.tasks.recipe import ExpertRecipe
 from idapt_pl.tasks.task import Task
 from idapt_pl.tasks.told_motion import ToldMotion, find_told_motion, unseen_joints
 
@@ -32,7 +33,6 @@ class EnvironmentTask(Task):
         camera: name of the model's camera to look through, or where to look from (``azimuth``, ``elevation``,
             ``distance``, ``lookat``, ``fovy``). None for the environment's own, or MuJoCo's free one.
         expert_steps: control steps that a policy on true states is trained for, as a bound and for datasets.
-        expert_horizon: control steps after which its episodes, and a teacher's, are cut while it trains.
     """
 
     def __init__(
@@ -43,14 +43,13 @@ class EnvironmentTask(Task):
         action_repeat: int = 1,
         camera: str | Mapping[str, Any] | None = None,
         expert_steps: int | None = None,
-        expert_horizon: int = 0,
     ) -> None:
         if action_repeat < 1:
             raise ValueError(f"task_options.action_repeat is {action_repeat}; give 1 or more")
         self.name, self.frame_skip, self.action_repeat = name, frame_skip, action_repeat
         self.horizon, self.camera = max(1, limit // action_repeat), camera
-        steps = self.expert.steps if expert_steps is None else expert_steps
-        self.expert = replace(self.expert, steps=steps, horizon=expert_horizon)
+        if expert_steps is not None:
+            self.expert = ExpertRecipe(expert_steps)
         self._told: ToldMotion | None = None
 
     @abstractmethod
@@ -160,5 +159,5 @@ MODEL_FIELDS = (
 
 def options_of(options: dict[str, Any]) -> dict[str, Any]:
     """Those of a task's options that :class:`EnvironmentTask` takes, taken out of ``options``."""
-    known = ("action_repeat", "camera", "expert_steps", "expert_horizon")
+    known = ("action_repeat", "camera", "expert_steps")
     return {name: options.pop(name) for name in known if name in options}

@@ -42,7 +42,7 @@ class HalfCheetah(Locomotion):
     frame_skip = 5
     xml = "half_cheetah.xml"
     control_cost = 0.1
-    expert = ExpertRecipe(steps=60_000, horizon=100)
+    expert = ExpertRecipe(steps=60_000)
 
     def base(self) -> mujoco.MjSpec:
         spec = super().base()

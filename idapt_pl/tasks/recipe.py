@@ -16,8 +16,6 @@ class ExpertRecipe:
         warmup_steps: random steps before; the scale of the states is taken from them.
         num_envs: simulations side by side.
         gamma: discount.
-        horizon: control steps after which its episodes are cut while it trains, as by a time limit; 0 is the task's. A
-            robot that fell, and whose episode goes on, otherwise learns mostly how to get along on its back.
     """
 
     steps: int
@@ -26,4 +24,3 @@ class ExpertRecipe:
     warmup_steps: int = 1000
     num_envs: int = 4
     gamma: float = 0.99
-    horizon: int = 0

@@ -242,14 +242,13 @@ def test_collect_writes_a_trajectory_file_that_shows_the_target_as_images_and_ac
 
 
 def test_collect_and_gallery_take_tasks_of_others(tmp_path, capsys):
-    said = "{action_repeat: 4, expert_steps: 64, expert_horizon: 9}"
-    own = ["--task", "dm_control:cartpole/balance", "--task-options", said]
+    own = ["--task", "dm_control:cartpole/balance", "--task-options", "{action_repeat: 4, expert_steps: 64}"]
     size = ["--image-size", "24"]
     collect = ["collect", *own, *size, "--domain", "source", "--steps", "12", "--experts", tmp_path / "experts"]
     assert run([*collect, "--policy", "random+expert", "--out", tmp_path / "d.h5"], capsys)[0] == 0
     data = read_trajectories(tmp_path / "d.h5")
     assert data.total_steps == 12 and data.dt == pytest.approx(0.04) and "state" in data.episodes[0].observations
-    assert json.loads(data.source)["task_options"] == {"action_repeat": 4, "expert_steps": 64, "expert_horizon": 9}
+    assert json.loads(data.source)["task_options"] == {"action_repeat": 4, "expert_steps": 64}
     (kept,) = (tmp_path / "experts").iterdir()
     assert kept.name.startswith("dm_control_cartpole_balance_"), "a task's name may hold slashes"
     assert run(["gallery", *own, *size, "--out", tmp_path / "g"], capsys)[0] == 0

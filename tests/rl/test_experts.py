@@ -2,7 +2,6 @@
 
 import json
 from contextlib import closing
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -48,19 +47,6 @@ def test_episodes_are_cut_as_by_a_time_limit(cart):
         (False, False), (False, False), (False, True), (False, False),
     ]  # fmt: skip
     assert "final_obs" in played[2][4]
-
-
-def test_experts_train_in_episodes_of_their_recipe_and_are_measured_in_whole_ones(cart, tmp_path, monkeypatch):
-    horizons = []
-    begin = VectorStateEnv.__init__
-    monkeypatch.setattr(
-        VectorStateEnv, "__init__", lambda self, *a, **k: (begin(self, *a, **k), horizons.append(self.horizon))[0]
-    )
-    policy = train_expert(
-        cart, cart.domain("source"), replace(QUICK, horizon=7), Stages(tmp_path, 0, cpu_trainer), "policy"
-    )
-    measure_expert(policy, cart, cart.domain("source"), 1, seed=0)
-    assert horizons == [7, cart.horizon]
 
 
 def test_expert_is_trained_once_and_the_same_each_time(cart, tmp_path):

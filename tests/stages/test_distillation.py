@@ -296,10 +296,9 @@ def test_the_last_of_several_teachers_begin_afresh(teaching, monkeypatch):
     assert begun == {"teacher": False, "teacher_2": True, "teacher_3": True}
 
 
-def test_teachers_train_in_episodes_of_the_tasks_recipe_and_are_compared_in_whole_ones(teaching, monkeypatch):
-    task, cuts = teaching.worlds.task, []
-    monkeypatch.setattr(task, "expert", replace(task.expert, horizon=5), raising=False)
-    teaching.settings = replace(teaching.settings, candidates=2)
+def test_teachers_train_in_episodes_that_are_cut_and_are_compared_in_whole_ones(teaching, monkeypatch):
+    cuts = []
+    teaching.settings = replace(teaching.settings, candidates=2, horizon=5)
     student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
     student(0, "source_")
     make = type(teaching.worlds).training_states

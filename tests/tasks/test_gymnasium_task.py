@@ -89,9 +89,3 @@ def test_an_environment_that_fails_says_where_and_with_which_mujoco():
 def test_an_environment_that_fails_when_it_is_tried_shows_its_own_error():
     with pytest.raises(UsersError, match=r"(?s)Falling-v0: the environment fails where it is tried.*no floor"):
         make_task("gymnasium:Falling-v0")
-
-
-def test_options_say_how_a_policy_on_true_states_is_trained():
-    usual, told = (make_task("gymnasium:Reacher-v5", o) for o in ({}, {"expert_steps": 64, "expert_horizon": 9}))
-    assert (told.expert.steps, told.expert.horizon) == (64, 9)
-    assert usual.expert.horizon == 0 and usual.expert.steps == type(usual).expert.steps, "the task's own limit"
