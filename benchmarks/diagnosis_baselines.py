@@ -40,11 +40,11 @@ from benchmarks.diagnosis import in_order, record
 from benchmarks.other_fits import held_out_error, sysid_fit
 from benchmarks.undeclared.cases import CASES, Case
 from cli.provenance import git_commit
-from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.model import name_elements
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.prediction.model import name_elements
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
+from idapt_pl.diagnosis.state.search_state import SearchState
+from idapt_pl.prediction.simulator import STATE, silence_mujoco
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.nets.mlp import mlp
 

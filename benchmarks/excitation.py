@@ -34,10 +34,10 @@ from benchmarks.undeclared.generate import Recording, control_period, first_epis
 from benchmarks.undeclared.models import nominal_xml
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.explanation import Explanation, Measurement
-from idapt_pl.diagnosis.result import DiagnosisResult
+from idapt_pl.diagnosis.answer.explanation import Explanation, Measurement
+from idapt_pl.diagnosis.answer.result import DiagnosisResult
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.excitation.design import MotionSearch
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.motion import FourierMotion

@@ -5,9 +5,10 @@
     python benchmarks/fewer_gates.py --summary                           # the table of what is there
 
 Cases as in benchmarks/gates.py: controls and one to three effects, every second one recorded poorly. A case is searched
-with the fewer gates, and all of ``idapt_pl/diagnosis/gates.py`` are asked besides; only where they would have judged a
-candidate in another way (``parted``) is it searched a second time, with all. ``exact`` says that what is hidden is
-named and nothing else, ``extra`` how many named effects are not there, ``loss`` is the held-out one with them.
+with the fewer gates, and all of ``idapt_pl/diagnosis/rounds/gates.py`` are asked besides; only where they would have
+judged a candidate in another way (``parted``) is it searched a second time, with all. ``exact`` says that what is
+hidden is named and nothing else, ``extra`` how many named effects are not there, ``loss`` is the held-out one with
+them.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from benchmarks.tables import read_rows, write_rows
 from tqdm import tqdm
 
 from cli.provenance import git_commit
-from idapt_pl.diagnosis import acceptance
-from idapt_pl.diagnosis.gates import GATES, Judged, objections
+from idapt_pl.diagnosis.rounds import acceptance
+from idapt_pl.diagnosis.rounds.gates import GATES, Judged, objections
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.trial import Rejection, RejectionReason
+from idapt_pl.diagnosis.candidates.trial import Rejection, RejectionReason
 
 NEVER_ALONE = (
     "within_sensors", "share_of_error", "share_above_floor", "something_left", "share_of_further", "more_than_slips",
@@ -64,7 +65,7 @@ class Fewer:
     parted: bool = False
 
     def objection(self, j: Judged) -> Rejection | None:
-        """As of :mod:`idapt_pl.diagnosis.gates`, of those that are left."""
+        """As of :mod:`idapt_pl.diagnosis.rounds.gates`, of those that are left."""
         every = list(objections(j))
         some = [told for gate, told in every if gate.__name__ not in self.without]
         first, of_all = (next(iter(told), None) for told in (some, [t for _, t in every]))

@@ -4,9 +4,9 @@
     python benchmarks/gates.py --summary             # the tables of what is there
 
 Controls and one to three effects, drawn as for benchmarks/several_effects.py; every second case is recorded poorly (see
-benchmarks/reliability.py). In every round of a search all of ``idapt_pl/diagnosis/gates.py`` are asked about each
-candidate that is judged on held-out episodes. ``right`` says whether it is a hidden effect that was not found before,
-``gates`` which it did not pass, ``chosen`` whether the round took it. The second table takes gates one after the other
+benchmarks/reliability.py). In every round of a search all of ``idapt_pl/diagnosis/rounds/gates.py`` are asked about
+each candidate that is judged on held-out episodes. ``right`` says whether it is a hidden effect that was not found
+before, ``gates`` which it did not pass, ``chosen`` whether the round took it. The second table takes gates one after the other
 until they keep out all wrong candidates of rounds that took nothing. It is about one round: what would come of a wrong
 choice later, when choices are reopened and what became needless is left out, it does not tell.
 """
@@ -36,12 +36,13 @@ from tqdm import tqdm
 
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
-from idapt_pl.diagnosis import acceptance, search
-from idapt_pl.diagnosis.acceptance import accept
-from idapt_pl.diagnosis.gates import GATES, Judged, objections
+from idapt_pl.diagnosis import search
+from idapt_pl.diagnosis.rounds import acceptance
+from idapt_pl.diagnosis.rounds.acceptance import accept
+from idapt_pl.diagnosis.rounds.gates import GATES, Judged, objections
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.trial import Rejection, Trial
+from idapt_pl.diagnosis.state.search_state import SearchState
+from idapt_pl.diagnosis.candidates.trial import Rejection, Trial
 from idapt_pl.effects.candidate import Candidate
 
 FIELDS = (
@@ -68,13 +69,13 @@ class Watch:
     decisions: int = 0
 
     def objection(self, j: Judged) -> Rejection | None:
-        """As of :mod:`idapt_pl.diagnosis.gates`; all of them are noted."""
+        """As of :mod:`idapt_pl.diagnosis.rounds.gates`; all of them are noted."""
         every = list(objections(j))
         self.told[id(j.trial.candidate), j.trial.round] = [gate.__name__ for gate, _ in every]
         return every[0][1] if every else None
 
     def accept(self, state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
-        """As of :mod:`idapt_pl.diagnosis.acceptance`; who stood for choice is noted."""
+        """As of :mod:`idapt_pl.diagnosis.rounds.acceptance`; who stood for choice is noted."""
         made = accept(state, trials)
         chosen, self.decisions = newest(made[0]), self.decisions + 1
         for t in trials:

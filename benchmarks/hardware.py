@@ -26,7 +26,7 @@ from tables import read_rows, write_rows
 from cli.provenance import git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.model import read_model
+from idapt_pl.prediction.model import read_model
 from idapt_pl.report.diagnosis_files import write_diagnosis
 
 FIELDS = (

@@ -14,15 +14,15 @@ import cma
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.candidate_fit import effects_of, parameter_box
-from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.simulator import Simulator, silence_mujoco
-from idapt_pl.diagnosis.whitening import whiten
+from idapt_pl.diagnosis.candidates.fit import effects_of, parameter_box
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import SearchState
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.runtime import RuntimeEffect
 from idapt_pl.estimation.least_squares import robust_loss
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.simulator import Simulator, silence_mujoco
+from idapt_pl.prediction.whitening import whiten
 
 BY_HAND = ("joint_damping", "joint_frictionloss", "joint_armature")
 OF_PACE = (*BY_HAND, "sensor_bias", "actuator_delay")

@@ -35,7 +35,7 @@ from benchmarks.several_effects import Drawn, draw
 from benchmarks.undeclared.generate import generate
 from cli.provenance import git_commit
 from datamodules import Trajectories, read_trajectories
-from idapt_pl.diagnosis.false_discoveries import nameable
+from idapt_pl.diagnosis.answer.false_discoveries import nameable
 from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (

@@ -27,7 +27,7 @@ from tables import replace_rows
 
 from idapt_pl.run import Run
 from datamodules.unpaired import read_all
-from idapt_pl.diagnosis.data import position_difference
+from idapt_pl.prediction.data import position_difference
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 
 KEY = ("config", "seed", "recording", "joint")

@@ -30,7 +30,7 @@ from tables import replace_rows
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.image_diagnosis.settings import DEFAULT_CANDIDATES
 from idapt_pl.effects import Domain, visual
 from idapt_pl.effects.base import Effect

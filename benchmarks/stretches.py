@@ -35,9 +35,9 @@ from benchmarks.undeclared.cases import CASES
 from benchmarks.undeclared.generate import generate
 from cli.provenance import git_commit
 from datamodules import Episode, Trajectories, read_trajectories
-from idapt_pl.diagnosis.data import as_recordings
+from idapt_pl.prediction.data import as_recordings
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.prediction.simulator import Simulator
 from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.effects.base import EFFECTS as KNOWN_EFFECTS
 from idapt_pl.stretches import StretchReport, diagnose_stretches

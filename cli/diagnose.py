@@ -35,13 +35,13 @@ from rich.table import Table
 
 from cli.arguments import keep_inputs, parser
 from cli.diagnose_recordings import diagnose_recordings, progress_bar
-from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import DiagnosisResult, EffectEstimate
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.effects_file import read_effects
 from idapt_pl.effects.wording import format_number, phrase_at
+from idapt_pl.prediction.data import UnusableData
 from idapt_pl.ranges import Range, check_ranges
 from idapt_pl.report.change_section import change_sentences
 from idapt_pl.report.diagnosis_files import write_diagnosis

@@ -22,13 +22,13 @@ from cli.arguments import show_bar
 from datamodules import Trajectories, read_trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
 from idapt_pl.deployment_faults import FaultReport, find_deployment_faults
+from idapt_pl.diagnosis.candidates.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.claims import claim
-from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.held_joints import hold_still_joints, release
 from idapt_pl.diagnosis.search import Diagnosis, diagnose, with_laws
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, QUICK_SETTINGS, SearchSettings
 from idapt_pl.diagnosis.splits import with_splits
+from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, QUICK_SETTINGS, SearchSettings
 from idapt_pl.effects.effects_file import read_effects
+from idapt_pl.prediction.data import UnusableData
 from idapt_pl.recording_sets import RecordingSet, SetComparison, compare_sets, join_recordings
 from idapt_pl.report.diagnosis_files import RecordingNotes, held_sentence, write_diagnosis
 from idapt_pl.report.fault_section import consequence, fault_sentence

@@ -30,9 +30,9 @@ from idapt_pl.deployment_faults.offsets import offset_interval, refine_offset, s
 from idapt_pl.deployment_faults.sequence import SequenceFaults, find_sequence_faults, without_sequence_faults
 from idapt_pl.deployment_faults.stale import without_stale_rows
 from idapt_pl.deployment_faults.velocities import velocity_mend
-from idapt_pl.diagnosis.data import measured_signals
-from idapt_pl.diagnosis.model import name_elements
 from idapt_pl.effects.own_signals import take_signals
+from idapt_pl.prediction.data import measured_signals
+from idapt_pl.prediction.model import name_elements
 
 LEAST_GAIN = 0.7
 """Log of the ratio of squared misses, without and with a mend, below which nothing is said."""

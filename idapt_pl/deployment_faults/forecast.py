@@ -18,9 +18,9 @@ from datamodules import Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
 from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.model_mend import mended_model
-from idapt_pl.diagnosis.data import measured_signals, slopes, steps_left_out
-from idapt_pl.diagnosis.simulator import STATE, silence_mujoco
 from idapt_pl.effects.own_signals import first_activations
+from idapt_pl.prediction.data import measured_signals, slopes, steps_left_out
+from idapt_pl.prediction.simulator import STATE, silence_mujoco
 
 FORECAST_TIME = 0.06
 """Seconds that a forecast looks ahead, about: longer than a small delay, shorter than what errors of contacts need."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from datamodules import Episode, Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
-from idapt_pl.diagnosis.data import measured_signals
+from idapt_pl.prediction.data import measured_signals
 
 Numbers = tuple[float, ...]
 Indices = tuple[int, ...]

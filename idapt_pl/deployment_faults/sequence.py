@@ -15,8 +15,8 @@ import numpy as np
 
 from datamodules import Episode, Trajectories
 from idapt_pl.deployment_faults.joints import ScalarJoints
-from idapt_pl.diagnosis.data import LEFT_OUT, measured_signals
 from idapt_pl.estimation.robust import robust_deviation
+from idapt_pl.prediction.data import LEFT_OUT, measured_signals
 
 MOST_LOST = 4
 """Rows lost in a row that are told from one step."""

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import measured_signals
+from idapt_pl.prediction.data import measured_signals
 
 LEAST_JUMP = 5.0
 """A repeat counts where the mechanism moves by so many of the smallest steps that positions show, before and after."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from idapt_pl.diagnosis.changes import ChangeReport
-from idapt_pl.diagnosis.false_discoveries import OUTSIDE_LIBRARY, Key, effect_probabilities, nameable
-from idapt_pl.diagnosis.law_result import LawReport
-from idapt_pl.diagnosis.measurement import measure_intervals
-from idapt_pl.diagnosis.result import EffectEstimate, Verdict
+from idapt_pl.diagnosis.answer.changes import ChangeReport
+from idapt_pl.diagnosis.answer.false_discoveries import OUTSIDE_LIBRARY, Key, effect_probabilities, nameable
+from idapt_pl.diagnosis.answer.law_result import LawReport
+from idapt_pl.diagnosis.answer.result import EffectEstimate, Verdict
+from idapt_pl.diagnosis.answer.summary import summarise_search
+from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.search_state import refit_accepted, renew
-from idapt_pl.diagnosis.summary import summarise_search
+from idapt_pl.diagnosis.state.search_state import refit_accepted, renew
 from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
 
 OF_LAWS = (LearnedForce.name, ResidualNetwork.name)

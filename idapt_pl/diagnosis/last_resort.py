@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 
-from idapt_pl.diagnosis.acceptance import confirm
-from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.force_windows import judges_forces
-from idapt_pl.diagnosis.gates import why_implausible
-from idapt_pl.diagnosis.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState, refit_accepted, renew
-from idapt_pl.diagnosis.trial import RejectionReason, Trial
-from idapt_pl.diagnosis.verdict import FLOOR, SLOPED_FLOOR
+from idapt_pl.diagnosis.answer.verdict import FLOOR, SLOPED_FLOOR
+from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.rounds.acceptance import confirm
+from idapt_pl.diagnosis.rounds.gates import why_implausible
+from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.prediction.force_windows import judges_forces
 
 log = logging.getLogger(__name__)
 SHARE_OF_THE_REST = 0.5

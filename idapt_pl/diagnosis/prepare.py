@@ -8,18 +8,18 @@ import mujoco
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.candidates import all_candidates, in_plausible_ranges, typical_sizes
-from idapt_pl.diagnosis.context import Progress, SearchContext
-from idapt_pl.diagnosis.data import Recording, as_recordings
-from idapt_pl.diagnosis.horizon import choose_horizon, noise_windows, usable_episodes
-from idapt_pl.diagnosis.model import name_elements
-from idapt_pl.diagnosis.noise import Noise, estimate_noise
-from idapt_pl.diagnosis.search_state import SearchState, first_state
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.candidates.listing import all_candidates, in_plausible_ranges, typical_sizes
+from idapt_pl.diagnosis.state.context import Progress, SearchContext
+from idapt_pl.diagnosis.state.search_state import SearchState, first_state
+from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.effects.base import EFFECTS, Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointBacklash
+from idapt_pl.prediction.data import Recording, as_recordings
+from idapt_pl.prediction.horizon import choose_horizon, noise_windows, usable_episodes
+from idapt_pl.prediction.model import name_elements
+from idapt_pl.prediction.noise import Noise, estimate_noise
+from idapt_pl.prediction.simulator import Simulator
 
 
 def begin_search(

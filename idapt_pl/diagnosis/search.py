@@ -10,21 +10,19 @@ from dataclasses import dataclass, replace
 import mujoco
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.acceptance import accept, confirm
-from idapt_pl.diagnosis.changes import changes_over_recordings, find_changes
-from idapt_pl.diagnosis.context import Progress, SearchContext
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.force_windows import judges_forces
+from idapt_pl.diagnosis.answer.changes import changes_over_recordings, find_changes
+from idapt_pl.diagnosis.answer.laws import add_laws
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, Verdict
+from idapt_pl.diagnosis.answer.summary import summarise_search
+from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
 from idapt_pl.diagnosis.last_resort import try_implausible
-from idapt_pl.diagnosis.law_search import search_laws
-from idapt_pl.diagnosis.laws import add_laws
-from idapt_pl.diagnosis.library_words import explained_by_library
-from idapt_pl.diagnosis.look_ahead import add_two
-from idapt_pl.diagnosis.noise import Noise
-from idapt_pl.diagnosis.numerics import retest_numerics
+from idapt_pl.diagnosis.laws.library_words import explained_by_library
+from idapt_pl.diagnosis.laws.search import search_laws
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
-from idapt_pl.diagnosis.revision import (
+from idapt_pl.diagnosis.rounds.acceptance import accept, confirm
+from idapt_pl.diagnosis.rounds.look_ahead import add_two
+from idapt_pl.diagnosis.rounds.numerics import retest_numerics
+from idapt_pl.diagnosis.rounds.revision import (
     eliminate_needless,
     far_from_explained,
     keep_sure,
@@ -32,17 +30,19 @@ from idapt_pl.diagnosis.revision import (
     one_gain_for_many,
     swap_for_rivals,
 )
-from idapt_pl.diagnosis.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.search_state import SearchState, refit_accepted, renew
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS, NOT_TRIED_QUICKLY, SearchSettings
-from idapt_pl.diagnosis.simulator import Effects, Simulator
-from idapt_pl.diagnosis.summary import summarise_search
-from idapt_pl.diagnosis.taking_apart import single_for_shared
-from idapt_pl.diagnosis.trial import RejectionReason, Trial
-from idapt_pl.diagnosis.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
-from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
+from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
+from idapt_pl.diagnosis.rounds.taking_apart import single_for_shared
+from idapt_pl.diagnosis.rounds.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
+from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
+from idapt_pl.diagnosis.state.context import Progress, SearchContext
+from idapt_pl.diagnosis.state.search_state import SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, NOT_TRIED_QUICKLY, SearchSettings
 from idapt_pl.effects.base import Effect
 from idapt_pl.estimation.stepwise import forward_selection
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.force_windows import judges_forces
+from idapt_pl.prediction.noise import Noise
+from idapt_pl.prediction.simulator import Effects, Simulator
 
 log = logging.getLogger(__name__)
 
@@ -119,7 +119,7 @@ def diagnose(
             must not depend on where they are, only on how fast they move. Or ``"<joint> velocity"``, with which
             windows only begin.
         noise: of the sensors, where it is known; default is to estimate it from the recordings.
-        laws: where much stays unexplained, look for a law of force (:mod:`~idapt_pl.diagnosis.law_search`).
+        laws: where much stays unexplained, look for a law of force (:mod:`~idapt_pl.diagnosis.laws.search`).
 
     Raises:
         UnusableData: the recordings do not fit the model.

@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.context import SearchContext
-from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.false_discoveries import Key
-from idapt_pl.diagnosis.horizon import usable_episodes
+from idapt_pl.diagnosis.answer.false_discoveries import Key
+from idapt_pl.diagnosis.answer.split_report import SplitReport, SplitSearch
+from idapt_pl.diagnosis.answer.summary import found_numerics
 from idapt_pl.diagnosis.prepare import activity, begin_with, quarters
 from idapt_pl.diagnosis.search import Diagnosis, run_search
-from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.split_report import SplitReport, SplitSearch
-from idapt_pl.diagnosis.summary import found_numerics
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import SearchState
+from idapt_pl.prediction.data import UnusableData
+from idapt_pl.prediction.horizon import usable_episodes
 
 
 def with_splits(found: Diagnosis) -> Diagnosis:

@@ -265,7 +265,7 @@ class JointCogging(ForceEffect):
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         """On hinges that turned through enough periods. How many there are in a turn is fitted, too.
 
-        A diagnosis finds out where that fit starts (:mod:`idapt_pl.diagnosis.periodogram`).
+        A diagnosis finds out where that fit starts (:mod:`idapt_pl.diagnosis.candidates.periodogram`).
         """
         found = []
         for j, v, name in joints_with_motor(model):

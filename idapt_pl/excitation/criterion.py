@@ -18,15 +18,15 @@ from itertools import combinations
 
 import numpy as np
 
-from idapt_pl.diagnosis.candidate_fit import effects_of, fit_candidates
-from idapt_pl.diagnosis.data import Windows, sample_windows
-from idapt_pl.diagnosis.explanation import Measurement
-from idapt_pl.diagnosis.noise import Noise
-from idapt_pl.diagnosis.simulator import Effects
-from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
+from idapt_pl.diagnosis.answer.explanation import Measurement
+from idapt_pl.diagnosis.candidates.fit import effects_of, fit_candidates
 from idapt_pl.estimation.least_squares import project_out
 from idapt_pl.excitation.forecast import Forecast, MotionForecaster, coarse
 from idapt_pl.excitation.rivals import Rival
+from idapt_pl.prediction.data import Windows, sample_windows
+from idapt_pl.prediction.noise import Noise
+from idapt_pl.prediction.simulator import Effects
+from idapt_pl.prediction.whitening import WhitenedWindows, initial_sensitivity, whitener
 
 SAMPLES = 5
 """Samples of a window that are compared, as in a diagnosis."""

@@ -9,7 +9,7 @@ from enum import StrEnum
 import cma
 import numpy as np
 
-from idapt_pl.diagnosis.context import Progress
+from idapt_pl.diagnosis.state.context import Progress
 from idapt_pl.estimation.intervals import deviations_from
 from idapt_pl.excitation.criterion import Score, SeparationCriterion
 from idapt_pl.excitation.forecast import Forecast, coarse

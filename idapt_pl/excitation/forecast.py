@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.data import Recording, Windows
-from idapt_pl.diagnosis.simulator import Effects, Simulator
 from idapt_pl.effects.world import Numerics
 from idapt_pl.excitation.limits import ImpossibleMotion
 from idapt_pl.excitation.rivals import Rival
+from idapt_pl.prediction.data import Recording, Windows
+from idapt_pl.prediction.simulator import Effects, Simulator
 
 SETTLING = 3.0
 """Seconds for which the start pose is held before a motion begins."""

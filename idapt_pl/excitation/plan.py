@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.context import Progress
-from idapt_pl.diagnosis.held_joints import drives
+from idapt_pl.diagnosis.candidates.held_joints import drives
+from idapt_pl.diagnosis.state.context import Progress
 from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.design import Goal, MotionDesign, MotionSearch
 from idapt_pl.excitation.forecast import MotionForecaster

@@ -10,17 +10,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.candidate_fit import effects_of
-from idapt_pl.diagnosis.explanation import Explanation, Measurement, Standing
-from idapt_pl.diagnosis.held_joints import hold_joints
-from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.result import DiagnosisResult
-from idapt_pl.diagnosis.simulator import Effects
+from idapt_pl.diagnosis.answer.explanation import Explanation, Measurement, Standing
+from idapt_pl.diagnosis.answer.result import DiagnosisResult
+from idapt_pl.diagnosis.candidates.fit import effects_of
+from idapt_pl.diagnosis.candidates.held_joints import hold_joints
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.wording import phrase_at
 from idapt_pl.excitation.limits import ImpossibleMotion
 from idapt_pl.files import DamagedFile, read_json
+from idapt_pl.prediction.model import read_model
+from idapt_pl.prediction.simulator import Effects
 from idapt_pl.robot_files.read import is_urdf
 
 REPEAT = "run idapt diagnose again, with this version"

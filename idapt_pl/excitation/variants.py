@@ -5,12 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.actuators import ActuatorGain, ActuatorKp, dc_motors, servos
 from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import mechanical_joints, moved_bodies, named_actuators
 from idapt_pl.effects.joints import JointDamping, JointFrictionloss
+from idapt_pl.prediction.simulator import Effects
 
 FRICTION_SPREAD, MASS, STRENGTH = 0.3, 0.1, 0.1
 """Shares by which friction and damping, masses, and what actuators do may be off."""

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from idapt_pl.diagnosis.explanation import Standing
+from idapt_pl.diagnosis.answer.explanation import Standing
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.rivals import Rival

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import position_difference, slopes
-from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.effects import Domain
 from idapt_pl.effects.signals import SensorGain
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.modules import VisualTransformation
+from idapt_pl.prediction.data import position_difference, slopes
+from idapt_pl.prediction.noise import Noise
 from idapt_pl.tasks import Task
 
 GAIN_STD = 0.05

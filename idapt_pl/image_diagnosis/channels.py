@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.data import position_difference
+from idapt_pl.prediction.data import position_difference
 from idapt_pl.tasks import Task
 
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from datamodules import Episode
 from datamodules.unpaired import read_all
-from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
-from idapt_pl.diagnosis.data import as_recordings
+from idapt_pl.diagnosis.answer.result import ChannelError
+from idapt_pl.diagnosis.candidates.listing import all_candidates, typical_sizes
 from idapt_pl.diagnosis.prepare import choose_candidates
-from idapt_pl.diagnosis.result import ChannelError
 from idapt_pl.effects import Domain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.envs import VectorImageEnv
@@ -40,6 +39,7 @@ from idapt_pl.image_diagnosis.result import (
 from idapt_pl.image_diagnosis.sensor import ImageSensor
 from idapt_pl.image_diagnosis.settings import SHORTEST_EPISODE, DiscoverySettings
 from idapt_pl.modules import VisualTransformation
+from idapt_pl.prediction.data import as_recordings
 
 log = logging.getLogger(__name__)
 EPISODES_LEAST = 2

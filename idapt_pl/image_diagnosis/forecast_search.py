@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.result import Alternative, EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import Alternative, EffectEstimate, ParameterEstimate
 from idapt_pl.effects import Domain
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate

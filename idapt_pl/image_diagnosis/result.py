@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from idapt_pl.diagnosis.result import ChannelError, EffectEstimate
+from idapt_pl.diagnosis.answer.result import ChannelError, EffectEstimate
 from idapt_pl.effects import Effect, effect_from_dict
 
 

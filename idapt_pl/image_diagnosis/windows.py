@@ -19,9 +19,9 @@ from functools import partial
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.diagnosis.result import ChannelError, EffectEstimate
+from idapt_pl.diagnosis.answer.result import ChannelError, EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis, diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.image_diagnosis.calibration import GAIN_STD, CalibratedReadings, sub_episode
 from idapt_pl.image_diagnosis.result import ImageDiagnosis, WindowEvidence

@@ -10,15 +10,15 @@ import numpy as np
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from idapt_pl.diagnosis.candidate_fit import effects_of, split_parameters
-from idapt_pl.diagnosis.data import Windows, sample_windows
-from idapt_pl.diagnosis.force_windows import judged_by_forces
-from idapt_pl.diagnosis.measurement import with_interval
-from idapt_pl.diagnosis.result import ParameterEstimate
+from idapt_pl.diagnosis.answer.result import ParameterEstimate
+from idapt_pl.diagnosis.answer.summary import parameter_estimates
+from idapt_pl.diagnosis.candidates.fit import effects_of, split_parameters
+from idapt_pl.diagnosis.rounds.measurement import with_interval
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.summary import parameter_estimates
-from idapt_pl.diagnosis.whitening import WhitenedWindows, initial_sensitivity, whitener
 from idapt_pl.estimation.intervals import clusters_of, covariance
+from idapt_pl.prediction.data import Windows, sample_windows
+from idapt_pl.prediction.force_windows import judged_by_forces
+from idapt_pl.prediction.whitening import WhitenedWindows, initial_sensitivity, whitener
 from idapt_pl.recording_sets.join import RecordingSet
 from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from idapt_pl.diagnosis.result import EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate, ParameterEstimate
 from idapt_pl.recording_sets.join import RecordingSet
 
 SetValue = tuple[str, str, str]

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.signals import FILTERS, ActuatorLag, SensorDelay
 from idapt_pl.effects.world import Numerics
+from idapt_pl.prediction.simulator import Effects
 from idapt_pl.report.changed_settings import effects_at_ends
 
 TERMS = {

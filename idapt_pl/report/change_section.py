@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.answer.changes import ChangeFinding, ChangeReport
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, section
 from idapt_pl.report.plots import AFTER, MEASURED, STYLE, escape_mathtext, svg

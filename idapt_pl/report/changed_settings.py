@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from idapt_pl.diagnosis.repaired import RepairedModel, model_as_mjcf
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.answer.repaired import RepairedModel, model_as_mjcf
+from idapt_pl.diagnosis.answer.result import EffectEstimate
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.simulator import Effects
 from idapt_pl.effects.wording import format_estimate, format_number
+from idapt_pl.prediction.simulator import Effects
 
 NOT_SET = "not set"
 LEFT_ALONE = ("compiler", "mesh", "texture", "material", "size", "statistic", "visual")

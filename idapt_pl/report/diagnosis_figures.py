@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from idapt_pl.diagnosis.data import Windows, sample_windows
 from idapt_pl.diagnosis.search import Diagnosis
+from idapt_pl.prediction.data import Windows, sample_windows
 from idapt_pl.report.diagnosis_wording import worst_channels
 from idapt_pl.report.plots import AFTER, BEFORE, MEASURED, NOISE, STYLE, escape_mathtext
 

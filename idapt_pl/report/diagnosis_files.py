@@ -11,7 +11,7 @@ import mujoco
 from matplotlib.figure import Figure
 
 from idapt_pl.deployment_faults import FaultReport
-from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.answer.repaired import repair_model
 from idapt_pl.diagnosis.search import Diagnosis
 from idapt_pl.effects.base import Effect
 from idapt_pl.files import write_atomically, write_bytes, write_json, write_yaml

@@ -9,10 +9,10 @@ import matplotlib
 import mujoco
 from matplotlib.figure import Figure
 
-from idapt_pl.diagnosis.repaired import RepairedModel
-from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
+from idapt_pl.diagnosis.answer.repaired import RepairedModel
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, Verdict
+from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.diagnosis.trial import Trial
 from idapt_pl.effects.wording import format_number, listing, phrase_at
 from idapt_pl.report.change_section import change_section
 from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate_cells, headline, verdict_in_words

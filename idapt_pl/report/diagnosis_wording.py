@@ -9,8 +9,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.law_result import LawReport
-from idapt_pl.diagnosis.result import (
+from idapt_pl.diagnosis.answer.law_result import LawReport
+from idapt_pl.diagnosis.answer.result import (
     ChannelError,
     DiagnosisResult,
     EffectEstimate,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from idapt_pl.diagnosis.explanation import Explanation, Standing
-from idapt_pl.diagnosis.false_discoveries import SUREST
-from idapt_pl.diagnosis.result import DiagnosisResult, ErrorTable
+from idapt_pl.diagnosis.answer.explanation import Explanation, Standing
+from idapt_pl.diagnosis.answer.false_discoveries import SUREST
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, ErrorTable
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.html import paragraph, row, section, table
 

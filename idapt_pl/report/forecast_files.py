@@ -8,8 +8,8 @@ from pathlib import Path
 import mujoco
 from torch.utils.tensorboard import SummaryWriter
 
-from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, Verdict
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.files import write_atomically, write_json, write_yaml
 from idapt_pl.image_diagnosis import ImageDiagnosis

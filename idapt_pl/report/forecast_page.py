@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 
-from idapt_pl.diagnosis.repaired import RepairedModel
-from idapt_pl.diagnosis.result import Verdict
+from idapt_pl.diagnosis.answer.repaired import RepairedModel
+from idapt_pl.diagnosis.answer.result import Verdict
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.report.diagnosis_page import TONES, model_difference_section

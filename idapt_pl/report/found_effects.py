@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.image_diagnosis.result import ForecastEvidence, ForecastExample

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from idapt_pl.diagnosis.law_places import ResidualPlace
-from idapt_pl.diagnosis.law_result import LawFinding, LawReport
+from idapt_pl.diagnosis.answer.law_result import LawFinding, LawReport
+from idapt_pl.diagnosis.laws.places import ResidualPlace
 from idapt_pl.effects.expression import SIGNALS
 from idapt_pl.effects.wording import format_estimate, format_number, listing
 from idapt_pl.report.html import details, paragraph, row, section, table

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import mujoco
 
-from idapt_pl.diagnosis.result import DiagnosisResult, Verdict
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.answer.result import DiagnosisResult, Verdict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
+from idapt_pl.prediction.simulator import Simulator
 from idapt_pl.report.diagnosis_wording import (
     nominal_in_words,
     quick_and_unexplained,

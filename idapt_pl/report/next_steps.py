@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate
 from idapt_pl.effects.wording import phrase_at
 from idapt_pl.report.html import Markup, link, paragraph, row, section, table
 

@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from idapt_pl.diagnosis.result import ParameterEstimate
+from idapt_pl.diagnosis.answer.result import ParameterEstimate
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at
 from idapt_pl.recording_sets.result import ChangedValue, SetComparison, SetResult, SetValue
 from idapt_pl.report.html import figure, paragraph, row, section, table

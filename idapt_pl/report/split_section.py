@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idapt_pl.diagnosis.split_report import SplitReport, TimesChosen
+from idapt_pl.diagnosis.answer.split_report import SplitReport, TimesChosen
 from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.report.explanation_section import all_of
 from idapt_pl.report.html import paragraph, row, section, table

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from idapt_pl.diagnosis.simulator import silence_mujoco
 from idapt_pl.modules import AsymmetricSAC
+from idapt_pl.prediction.simulator import silence_mujoco
 from idapt_pl.rl.policy import Acting
 from idapt_pl.smoothing import EnsembleFilter, RecordingSmoother, SimulatedEnsemble
 

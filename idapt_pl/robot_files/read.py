@@ -9,8 +9,8 @@ from pathlib import Path
 
 import mujoco
 
-from idapt_pl.diagnosis.model import name_elements, read_model
 from idapt_pl.effects.compile_time import write_out_masses
+from idapt_pl.prediction.model import name_elements, read_model
 from idapt_pl.robot_files.actuators import DeclaredActuator, add_actuators
 from idapt_pl.robot_files.urdf import joints_with_drives, prepare_urdf
 

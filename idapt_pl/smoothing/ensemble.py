@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.data import position_difference, shift_positions
 from idapt_pl.effects import Domain
+from idapt_pl.prediction.data import position_difference, shift_positions
 from idapt_pl.tasks import Task
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.simulator import silence_mujoco
 from idapt_pl.estimation.ensemble_kalman import corrected
+from idapt_pl.prediction.simulator import silence_mujoco
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 
 FARTHEST_OFF = 4.0

@@ -15,9 +15,9 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.simulator import silence_mujoco
 from idapt_pl.effects import Domain
 from idapt_pl.estimation.intervals import paired_gain
+from idapt_pl.prediction.simulator import silence_mujoco
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.recordings import ReadRecording
 from idapt_pl.tasks import Task

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.data import position_difference
 from idapt_pl.effects import Domain
+from idapt_pl.prediction.data import position_difference
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.fixed_lag import (
     POSITION_NOISE,

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from datamodules.unpaired import read_all
-from idapt_pl.diagnosis.candidates import all_candidates, typical_sizes
-from idapt_pl.diagnosis.data import Recording
+from idapt_pl.diagnosis.candidates.listing import all_candidates, typical_sizes
 from idapt_pl.diagnosis.prepare import choose_candidates
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.candidate import Candidate
@@ -26,6 +25,7 @@ from idapt_pl.image_diagnosis.forecast_search import first_values
 from idapt_pl.image_diagnosis.forecasts import FORECAST_STEPS
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.prediction.data import Recording
 from idapt_pl.smoothing import ReadRecording
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import JUDGED, TOLD, KnownStartSearch, gain_of

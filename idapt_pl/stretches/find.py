@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from idapt_pl.diagnosis.data import START_UP, Recording, Windows
-from idapt_pl.diagnosis.simulator import Effects, Simulator
+from idapt_pl.prediction.data import START_UP, Recording, Windows
+from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.stretches.stretch import ForecastErrors, Stretch, runs_of
 
 FORECAST = 0.04, 0.2

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import LEFT_OUT, Recording
+from idapt_pl.prediction.data import LEFT_OUT, Recording
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.fewer_gates import NEVER_ALONE, Fewer, judged_by, run, summarise
-from idapt_pl.diagnosis import acceptance
-from idapt_pl.diagnosis.gates import GATES, Judged
-from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.diagnosis.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.rounds import acceptance
+from idapt_pl.diagnosis.rounds.gates import GATES, Judged
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from benchmarks.gates import Watch, sufficient, summarise, watched
-from idapt_pl.diagnosis import acceptance, search
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.gates import Judged
-from idapt_pl.diagnosis.search_state import SearchState
-from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.diagnosis.trial import Trial
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis import search
+from idapt_pl.diagnosis.candidates.trial import Trial
+from idapt_pl.diagnosis.rounds import acceptance
+from idapt_pl.diagnosis.rounds.gates import Judged
+from idapt_pl.diagnosis.state.search_state import SearchState
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 N = 40
 DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))

@@ -6,7 +6,7 @@ import mujoco
 from rich.console import Console
 
 from cli.diagnose import effects_tables
-from idapt_pl.diagnosis.result import EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate, ParameterEstimate
 
 XML = """<mujoco><worldbody><body name="b"><joint name="left_shoulder_lift_joint"/><geom size="0.1"/></body></worldbody>
 </mujoco>"""

@@ -15,7 +15,7 @@ from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
 from datamodules.trajectories import cut_in_time
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.settings import QUICK_SETTINGS
+from idapt_pl.diagnosis.state.settings import QUICK_SETTINGS
 
 sys.path.insert(0, str(ROOT / "tests" / "report"))
 from test_diagnosis_report import MOTOR, NOMINAL, SWING, record

@@ -16,7 +16,7 @@ from benchmarks.undeclared.cases import CASES
 from benchmarks.undeclared.generate import generate
 from idapt_pl.deployment_faults import FaultKind, find_deployment_faults
 from idapt_pl.deployment_faults.mend import Mend
-from idapt_pl.diagnosis.data import UnusableData
+from idapt_pl.prediction.data import UnusableData
 
 DEGREES = 180 / np.pi
 

@@ -16,7 +16,7 @@ from benchmarks.undeclared.cases import CASES
 from benchmarks.undeclared.generate import generate
 from idapt_pl.deployment_faults import FaultKind, find_deployment_faults
 from idapt_pl.deployment_faults.sequence import find_sequence_faults, without_sequence_faults
-from idapt_pl.diagnosis.data import LEFT_OUT
+from idapt_pl.prediction.data import LEFT_OUT
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import as_recordings, sample_windows
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.simulator import Simulator
-from idapt_pl.diagnosis.whitening import initial_sensitivity
+from idapt_pl.prediction.data import as_recordings, sample_windows
+from idapt_pl.prediction.simulator import Simulator
+from idapt_pl.prediction.whitening import initial_sensitivity
 
 ARM = """
 <mujoco>

@@ -5,18 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.acceptance import accept
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.gates import GATES, Judged, objection, objections, why_implausible
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
-from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.diagnosis.trial import RejectionReason, Trial
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.rounds.acceptance import accept
+from idapt_pl.diagnosis.rounds.gates import GATES, Judged, objection, objections, why_implausible
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.bodies import BodyCom, BodyInertia
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import SensorGain
 from idapt_pl.effects.world import GravityDirection
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 N = 40
 DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))

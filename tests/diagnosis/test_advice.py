@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis import advice
+from idapt_pl.diagnosis.answer import advice
 
 
 @pytest.mark.parametrize(

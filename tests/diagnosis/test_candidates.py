@@ -4,10 +4,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.candidates import CANDIDATE_ORDER, all_candidates, in_order, numerics_candidates, typical_sizes
-from idapt_pl.diagnosis.data import Recording
+from idapt_pl.diagnosis.candidates.listing import (
+    CANDIDATE_ORDER,
+    all_candidates,
+    in_order,
+    numerics_candidates,
+    typical_sizes,
+)
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.candidate import TypicalSizes
+from idapt_pl.prediction.data import Recording
 from idapt_pl.tasks import make_task
 
 CART = """

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from idapt_pl.diagnosis import changes
-from idapt_pl.diagnosis.change_statistics import WindowTimes, constancy_test, scores_of, time_shapes
-from idapt_pl.diagnosis.changes import find_changes
+from idapt_pl.diagnosis.answer import changes
+from idapt_pl.diagnosis.answer.change_statistics import WindowTimes, constancy_test, scores_of, time_shapes
+from idapt_pl.diagnosis.answer.changes import find_changes
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.search_state import AcceptedEffect, refit_accepted
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, refit_accepted
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointStribeck
 

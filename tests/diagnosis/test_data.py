@@ -6,8 +6,8 @@ import pytest
 from arm import ARM, DT, record, right_model
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import UnusableData, as_recordings
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.prediction.data import UnusableData, as_recordings
 
 
 def test_windows_stay_inside_episodes_and_do_not_overlap():

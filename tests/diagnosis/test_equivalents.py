@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.advice import predictions_apart
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.equivalents import with_equivalents_of_now
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
-from idapt_pl.diagnosis.trial import Trial
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis.answer.advice import predictions_apart
+from idapt_pl.diagnosis.answer.equivalents import with_equivalents_of_now
+from idapt_pl.diagnosis.candidates.trial import Trial
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 N = 40
 DAMPING, LATER = (Candidate(JointDamping, joint, ("damping",), (0.0,), (0.1,)) for joint in ("a", "b"))

@@ -10,12 +10,12 @@ from arm import ARM, found, record
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.answer.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.answer.explanation import ExplainingEffect, Explanation, Standing
+from idapt_pl.diagnosis.answer.false_discoveries import effect_probabilities, nameable
+from idapt_pl.diagnosis.answer.law_result import LawFinding, LawReport, NetworkFinding
+from idapt_pl.diagnosis.answer.result import Verdict
 from idapt_pl.diagnosis.claims import claim, without_changes_of, without_laws_on
-from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
-from idapt_pl.diagnosis.false_discoveries import effect_probabilities, nameable
-from idapt_pl.diagnosis.law_result import LawFinding, LawReport, NetworkFinding
-from idapt_pl.diagnosis.result import Verdict
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
 

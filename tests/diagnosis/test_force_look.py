@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from arm import ARM, found, record
 
-from idapt_pl.diagnosis import screening
-from idapt_pl.diagnosis.force_look import acts_as_force, responses_by_forces
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.screening import ScoreTest, screen_candidates
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
+from idapt_pl.diagnosis.rounds import screening
+from idapt_pl.diagnosis.rounds.force_look import acts_as_force, responses_by_forces
+from idapt_pl.diagnosis.rounds.screening import ScoreTest, screen_candidates
+from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS
 from idapt_pl.effects.joints import JointBacklash, JointDamping
 
 GAIN = ARM.replace('<motor name="s" joint="shoulder"', '<motor name="s" gear="0.8" joint="shoulder"')

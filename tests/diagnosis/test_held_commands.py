@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.data import Recording, Windows
-from idapt_pl.diagnosis.held_commands import HeldCommands
 from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
+from idapt_pl.prediction.data import Recording, Windows
+from idapt_pl.prediction.held_commands import HeldCommands
 
 XML = """<mujoco><worldbody><body><joint name="a"/><joint name="b" axis="1 0 0"/><joint name="c" axis="0 1 0"/>
 <geom size="0.1"/></body></worldbody>

@@ -9,8 +9,8 @@ from arm import ARM, record
 
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.diagnosis.candidates import all_candidates
-from idapt_pl.diagnosis.held_joints import hold_joints, hold_still_joints, release
+from idapt_pl.diagnosis.candidates.held_joints import hold_joints, hold_still_joints, release
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointFrictionloss
 

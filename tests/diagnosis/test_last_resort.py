@@ -7,7 +7,7 @@ from arm import ARM, found, record
 
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 
 TURNED = ARM.replace("<option", '<option gravity="-8.26 0 -5.3"')

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import Windows, as_recordings
-from idapt_pl.diagnosis.law_response import measured_signals_of, term_values
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.rounds.force_response import measured_signals_of, term_values
 from idapt_pl.effects import Domain
 from idapt_pl.effects.acting import advance
 from idapt_pl.effects.learned import LearnedForce
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
+from idapt_pl.prediction.data import Windows, as_recordings
+from idapt_pl.prediction.simulator import Simulator
 
 ROD = """
 <mujoco>

@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis import law_search
-from idapt_pl.diagnosis.data import sample_windows
-from idapt_pl.diagnosis.law_candidate import law_candidate
-from idapt_pl.diagnosis.law_forecasts import regress
-from idapt_pl.diagnosis.law_history import remembered
-from idapt_pl.diagnosis.law_network import HIDDEN, network
-from idapt_pl.diagnosis.law_result import formula_in_numbers, largest_and_usual_force
-from idapt_pl.diagnosis.law_search import laws_of, search_laws
-from idapt_pl.diagnosis.law_terms import JointSizes, Term, dictionary, term_units, write_law
+from idapt_pl.diagnosis.answer.law_result import formula_in_numbers, largest_and_usual_force
+from idapt_pl.diagnosis.answer.laws import search as law_search
+from idapt_pl.diagnosis.answer.summary import parameter_estimates
+from idapt_pl.diagnosis.laws.candidate import law_candidate
+from idapt_pl.diagnosis.laws.forecasts import regress
+from idapt_pl.diagnosis.laws.network import HIDDEN, network
+from idapt_pl.diagnosis.laws.search import laws_of, search_laws
+from idapt_pl.diagnosis.laws.terms import JointSizes, Term, dictionary, term_units, write_law
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.search_state import AcceptedEffect
-from idapt_pl.diagnosis.summary import parameter_estimates
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect
 from idapt_pl.effects.acting import ActingForces
 from idapt_pl.effects.expression import parse_expression
 from idapt_pl.effects.learned import LearnedForce, ResidualNetwork
+from idapt_pl.prediction.data import sample_windows
+from idapt_pl.prediction.law_history import remembered
 
 PENDULUM = """
 <mujoco>
@@ -75,7 +75,7 @@ def begun(law):
 
 
 def test_a_force_that_no_effect_has_is_found_with_its_joint_dependence_and_size(caplog):
-    caplog.set_level("INFO", "idapt_pl.diagnosis.law_search")
+    caplog.set_level("INFO", "idapt_pl.diagnosis.laws.search")
     context, state = begun(ripple)
     found = search_laws(context, state)
     (law,) = laws_of(found.state)

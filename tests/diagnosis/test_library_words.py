@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from arm import ARM, record
 
-from idapt_pl.diagnosis.law_candidate import law_candidate
-from idapt_pl.diagnosis.law_terms import OF_THE_LIBRARY, JointSizes, dictionary
-from idapt_pl.diagnosis.library_words import SAME_IN_LIBRARY, explained_by_library, motors_of
+from idapt_pl.diagnosis.laws.candidate import law_candidate
+from idapt_pl.diagnosis.laws.library_words import SAME_IN_LIBRARY, explained_by_library, motors_of
+from idapt_pl.diagnosis.laws.terms import OF_THE_LIBRARY, JointSizes, dictionary
 from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.rounds.taking_apart import single_for_shared, taken_apart
 from idapt_pl.diagnosis.search import next_round
-from idapt_pl.diagnosis.search_state import AcceptedEffect, refit_accepted
-from idapt_pl.diagnosis.taking_apart import single_for_shared, taken_apart
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, refit_accepted
 from idapt_pl.effects.base import ACTUATED
 from idapt_pl.effects.joints import JointDamping
 

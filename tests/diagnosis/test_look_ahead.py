@@ -7,10 +7,10 @@ import pytest
 from arm import ARM, found, record
 from test_revision import A, B, accepted, context, names
 
-from idapt_pl.diagnosis import look_ahead
-from idapt_pl.diagnosis.look_ahead import add_two
-from idapt_pl.diagnosis.search_state import AcceptedEffect
-from idapt_pl.diagnosis.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.rounds import look_ahead
+from idapt_pl.diagnosis.rounds.look_ahead import add_two
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect
 
 
 @pytest.fixture

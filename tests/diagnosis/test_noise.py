@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from arm import ARM, NOISE_Q, NOISE_V, record, right_model
 
-from idapt_pl.diagnosis.data import as_recordings, sample_windows
-from idapt_pl.diagnosis.noise import estimate_noise, rounding_noise, shrink_to_kind
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.prediction.data import as_recordings, sample_windows
+from idapt_pl.prediction.noise import estimate_noise, rounding_noise, shrink_to_kind
+from idapt_pl.prediction.simulator import Simulator
 
 
 def test_noise_is_estimated():

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import as_recordings, sample_windows
-from idapt_pl.diagnosis.periodogram import highest_peaks, mean_cosine, mean_sine, periodic_starts
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.diagnosis.candidates.periodogram import highest_peaks, mean_cosine, mean_sine, periodic_starts
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointCogging
+from idapt_pl.prediction.data import as_recordings, sample_windows
+from idapt_pl.prediction.simulator import Simulator
 
 WHEEL = """
 <mujoco>

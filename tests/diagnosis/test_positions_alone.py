@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis import noise
-from idapt_pl.diagnosis.data import as_recordings, slope_reach, slopes
 from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.prediction import noise
+from idapt_pl.prediction.data import as_recordings, slope_reach, slopes
 
 CART = """
 <mujoco>

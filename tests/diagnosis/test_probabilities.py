@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.probabilities import HALF_UNEXPLAINED, NEVER_SURE, PER_PARAMETER, RARE, probabilities
+from idapt_pl.diagnosis.answer.probabilities import HALF_UNEXPLAINED, NEVER_SURE, PER_PARAMETER, RARE, probabilities
 
 ROWS = 20
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.recent import RecentArrays
+from idapt_pl.prediction.recent import RecentArrays
 
 
 def test_what_was_made_is_not_made_again():

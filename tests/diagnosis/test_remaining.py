@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
-from idapt_pl.diagnosis.force_windows import judged_by_forces
-from idapt_pl.diagnosis.probabilities import probabilities
-from idapt_pl.diagnosis.remaining import JudgedExplanation, with_alternative, with_probabilities
-from idapt_pl.diagnosis.result import Alternative
+from idapt_pl.diagnosis.answer.explanation import ExplainingEffect, Explanation, Standing
+from idapt_pl.diagnosis.answer.probabilities import probabilities
+from idapt_pl.diagnosis.answer.remaining import JudgedExplanation, with_alternative, with_probabilities
+from idapt_pl.diagnosis.answer.result import Alternative
 from idapt_pl.effects.actuators import MotorResistance
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import ActuatorDelay
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.force_windows import judged_by_forces
 
 DAMPING = ExplainingEffect(JointDamping("hip", 0.3), {"damping": (0.1, 0.05)})
 

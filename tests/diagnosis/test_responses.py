@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.responses import Responses
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis.candidates.responses import Responses
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 N, J, CHANNELS = 5, 2, 3
 
@@ -60,7 +60,7 @@ def test_other_windows_are_other_responses(residual):
 
 
 def test_where_memory_is_full_nothing_new_is_kept(residual, monkeypatch):
-    monkeypatch.setattr("idapt_pl.diagnosis.responses.MOST_BYTES", 1.5 * residual.nbytes / 2)
+    monkeypatch.setattr("idapt_pl.diagnosis.candidates.responses.MOST_BYTES", 1.5 * residual.nbytes / 2)
     responses, made = Responses(), []
     for key in ("one", "two", "two"):
         responses.under(split(), residual).get(key, lambda: made.append(1) or residual)

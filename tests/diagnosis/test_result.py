@@ -7,7 +7,7 @@ import mujoco
 import pytest
 from arm import ARM, record
 
-from idapt_pl.diagnosis.result import Alternative, EffectEstimate, ParameterEstimate, Verdict
+from idapt_pl.diagnosis.answer.result import Alternative, EffectEstimate, ParameterEstimate, Verdict
 from idapt_pl.diagnosis.search import diagnose
 
 STORED = json.loads((Path(__file__).parent / "report.json").read_text(encoding="utf-8"))

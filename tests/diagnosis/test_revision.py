@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis import revision
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.revision import eliminate_needless, keep_sure, swap_one, with_its_doubts, with_rival
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
-from idapt_pl.diagnosis.settings import SearchSettings
-from idapt_pl.diagnosis.trial import Trial
-from idapt_pl.diagnosis.whitening import WhitenedWindows
+from idapt_pl.diagnosis.candidates.trial import Trial
+from idapt_pl.diagnosis.rounds import revision
+from idapt_pl.diagnosis.rounds.revision import eliminate_needless, keep_sure, swap_one, with_its_doubts, with_rival
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 N = 40
 
@@ -90,7 +90,7 @@ def test_a_rival_that_is_not_clearly_better_changes_nothing():
 
 @pytest.mark.parametrize(("better", "swapped"), [(1.0, True), (1.98, False)])
 def test_a_rival_has_to_remove_a_noticeable_part(better, swapped, monkeypatch):
-    monkeypatch.setattr("idapt_pl.diagnosis.revision.renew", lambda context, state: state)
+    monkeypatch.setattr("idapt_pl.diagnosis.rounds.revision.renew", lambda context, state: state)
     state, trial = accepted(A, B), Trial(RIVAL, 0, 10.0, (np.array([0.2]),), gain=1.0)
     search = context(lambda found: better if ("joint_armature", "a") in found else 2.0)
     now = swap_one(search, state, 0, [trial])
@@ -98,7 +98,7 @@ def test_a_rival_has_to_remove_a_noticeable_part(better, swapped, monkeypatch):
 
 
 def test_more_parameters_have_to_be_worth_it(monkeypatch):
-    monkeypatch.setattr("idapt_pl.diagnosis.revision.renew", lambda context, state: state)
+    monkeypatch.setattr("idapt_pl.diagnosis.rounds.revision.renew", lambda context, state: state)
     wide = Candidate(JointFrictionloss, "a", ("frictionloss",) * 8, (0.0,) * 8, (0.1,) * 8)
     state, trial = accepted(A, B), Trial(wide, 0, 10.0, (np.full(8, 0.2),), gain=1.0)
     search = context(lambda found: 1.5 if ("joint_frictionloss", "a") in found else 2.0)

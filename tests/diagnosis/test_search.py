@@ -8,12 +8,12 @@ import pytest
 from arm import ARM, DT, NOISE_Q, NOISE_V, found, record
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import UnusableData
-from idapt_pl.diagnosis.noise import Noise
 from idapt_pl.diagnosis.search import diagnose
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import SensorGain
+from idapt_pl.prediction.data import UnusableData
+from idapt_pl.prediction.noise import Noise
 
 
 def test_nothing_is_found_where_nothing_is_missing():

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from arm import ARM, record
 
-from idapt_pl.diagnosis.candidate_fit import fit_candidates, split_parameters
+from idapt_pl.diagnosis.candidates.fit import fit_candidates, split_parameters
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import one_round
-from idapt_pl.diagnosis.search_state import refit_accepted, renew
-from idapt_pl.diagnosis.settings import SearchSettings
+from idapt_pl.diagnosis.state.search_state import refit_accepted, renew
+from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.signature import correlation
+from idapt_pl.diagnosis.answer.signature import correlation
 
 
 def test_what_a_residual_goes_along_with_is_a_share_of_it():

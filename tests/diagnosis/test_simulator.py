@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 from arm import ARM, record
 
-from idapt_pl.diagnosis.data import as_recordings, sample_windows
-from idapt_pl.diagnosis.simulator import Simulator
 from idapt_pl.effects.signals import ActuatorDelay
+from idapt_pl.prediction.data import as_recordings, sample_windows
+from idapt_pl.prediction.simulator import Simulator
 
 
 def test_without_noise_the_right_model_predicts_the_recording():

@@ -9,10 +9,10 @@ from arm import ARM, found, record
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.diagnosis.data import UnusableData
+from idapt_pl.diagnosis.answer.split_report import SplitReport, SplitSearch
 from idapt_pl.diagnosis.prepare import quarters
-from idapt_pl.diagnosis.split_report import SplitReport, SplitSearch
 from idapt_pl.diagnosis.splits import with_splits
+from idapt_pl.prediction.data import UnusableData
 from idapt_pl.report.split_section import split_section, split_sentences
 
 DAMPED = ARM.replace('damping="0.05"', 'damping="0.25"')

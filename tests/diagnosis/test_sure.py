@@ -6,17 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis import replay
-from idapt_pl.diagnosis.candidate_fit import CandidateFit
-from idapt_pl.diagnosis.data import Recording, Windows, choose_rows, over_impacts, with_impacts
+from idapt_pl.diagnosis.candidates.fit import CandidateFit
 from idapt_pl.diagnosis.last_resort import is_narrower
-from idapt_pl.diagnosis.measurement import measure_intervals
-from idapt_pl.diagnosis.search_state import AcceptedEffect, SearchState
+from idapt_pl.diagnosis.rounds import replay
+from idapt_pl.diagnosis.rounds.measurement import measure_intervals
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping, JointStribeck
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.effects.world import GravityDirection
 from idapt_pl.estimation.least_squares import LeastSquaresFit
+from idapt_pl.prediction.data import Recording, Windows, choose_rows, over_impacts, with_impacts
 
 DELAY = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
 FALLING = Candidate(JointStribeck, "a", ("coulomb", "static", "speed"), (0.0, 0.0, 1.0), (0.1, 0.1, 1.0), strength=2)

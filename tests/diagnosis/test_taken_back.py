@@ -8,8 +8,8 @@ import pytest
 from arm import ARM, found, record
 
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.screening import ScoreTest
-from idapt_pl.diagnosis.search_state import AcceptedEffect
+from idapt_pl.diagnosis.rounds.screening import ScoreTest
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect
 from idapt_pl.effects.joints import JointDamping
 
 BARE = ARM.replace(' damping="0.05"', "").replace(' damping="0.02"', "")

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.data import Windows
-from idapt_pl.diagnosis.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
 from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.rounds.unexplained_forces import beyond_noise, contradicts_forces, unexplained_forces
+from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
 from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose, forecasts_worse, search_by_forces
-from idapt_pl.diagnosis.search_state import AcceptedEffect
-from idapt_pl.diagnosis.settings import DEFAULT_SETTINGS
-from idapt_pl.diagnosis.unexplained_forces import beyond_noise, contradicts_forces, unexplained_forces
-from idapt_pl.diagnosis.usual_causes import begin_with_usual_causes
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect
+from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss, JointStiffness
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
 from idapt_pl.report.diagnosis_wording import verdict_in_words
 from idapt_pl.report.minute_section import matter_in_words
 

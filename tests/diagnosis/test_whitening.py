@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from arm import NOISE_Q, NOISE_V, right_model
 
-from idapt_pl.diagnosis.noise import Noise
-from idapt_pl.diagnosis.whitening import whiten, whitener
+from idapt_pl.prediction.noise import Noise
+from idapt_pl.prediction.whitening import whiten, whitener
 
 
 def test_residuals_of_the_right_model_are_white_after_whitening():

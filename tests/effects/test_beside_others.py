@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.candidates import all_candidates
-from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.effects.actuators import ActuatorGain, ActuatorKp, ActuatorKv, ActuatorSaturation
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointArmature, JointBacklash, JointDamping

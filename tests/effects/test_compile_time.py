@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.model import read_model
 from idapt_pl.effects import Domain
 from idapt_pl.effects.bodies import BodyInertia, BodyMass
 from idapt_pl.effects.compile_time import write_out_masses
+from idapt_pl.prediction.model import read_model
 from idapt_pl.tasks import make_task
 
 ARM = """<mujoco><compiler {}/><worldbody><geom type="plane" size="1 1 1"/>

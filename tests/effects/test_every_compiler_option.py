@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.candidates import all_candidates
-from idapt_pl.diagnosis.model import read_model
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.effects.base import EFFECTS
 from idapt_pl.effects.candidate import TypicalSizes
+from idapt_pl.prediction.model import read_model
 
 ROBOT = """<mujoco><compiler {}/>
   <default><geom density="{}"/></default>

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import idapt_pl
-from idapt_pl.diagnosis.candidates import all_candidates
-from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.effects.base import EFFECTS, Effect
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointDamping

@@ -11,7 +11,7 @@ import pytest
 
 import idapt_pl
 from datamodules import Episode, Trajectories
-from idapt_pl.diagnosis.candidates import all_candidates
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import EFFECTS, effect_from_dict
 from idapt_pl.effects.candidate import TypicalSizes

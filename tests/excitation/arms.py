@@ -5,7 +5,7 @@ import json
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Measurement, Standing
+from idapt_pl.diagnosis.answer.explanation import ExplainingEffect, Explanation, Measurement, Standing
 from idapt_pl.effects.actuators import ActuatorBias
 from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from arms import ARMATURE, DAMPING, FORCE, FRICTION, NOISE, OFFSET, RAIL, explained, forecaster, left_open
 
-from idapt_pl.diagnosis.candidate_fit import fit_candidates
-from idapt_pl.diagnosis.explanation import Measurement, Standing
+from idapt_pl.diagnosis.answer.explanation import Measurement, Standing
+from idapt_pl.diagnosis.candidates.fit import fit_candidates
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.forecast import coarse

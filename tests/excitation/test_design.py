@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from arms import CENTRE, DAMPING, FORCE, FRICTION, OFFSET, RAIL, SERVO, compiled, left_open, quick_plan
 
-from idapt_pl.diagnosis.explanation import ExplainingEffect
+from idapt_pl.diagnosis.answer.explanation import ExplainingEffect
 from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.excitation.design import Goal
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of

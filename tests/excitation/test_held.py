@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from arms import NOISE, SERVO, explained, report_folder
 
-from idapt_pl.diagnosis.explanation import Measurement, Standing
+from idapt_pl.diagnosis.answer.explanation import Measurement, Standing
 from idapt_pl.effects.joints import JointDamping, JointFrictionloss
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.plan import MotionPlan, design_motion, prepare_search

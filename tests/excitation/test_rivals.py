@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from arms import DAMPING, FRICTION, RAIL, SERVO, report_folder
 
-from idapt_pl.diagnosis.candidates import all_candidates
-from idapt_pl.diagnosis.explanation import Standing
-from idapt_pl.diagnosis.repaired import repair_model
+from idapt_pl.diagnosis.answer.explanation import Standing
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.candidates.listing import all_candidates
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.excitation.limits import ImpossibleMotion

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from arms import OFFSET, RAIL, SERVO, compiled, explained, forecaster, left_open, quick_plan
 
-from idapt_pl.diagnosis.explanation import Standing
+from idapt_pl.diagnosis.answer.explanation import Standing
 from idapt_pl.effects.actuators import ActuatorBias
 from idapt_pl.effects.joints import JointBacklash, JointDamping
 from idapt_pl.effects.signals import ActuatorLag

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
-from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import SensorGain

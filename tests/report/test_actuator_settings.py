@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import mujoco
 import pytest
 
-from idapt_pl.diagnosis.result import EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate, ParameterEstimate
 from idapt_pl.effects.actuators import ActuatorKp, ActuatorSaturation
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorDelay

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.answer.changes import ChangeFinding, ChangeReport
 from idapt_pl.report.change_section import change_figure, change_section, change_sentences
 
 KINDS = {

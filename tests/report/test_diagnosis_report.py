@@ -14,11 +14,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from cli.main import main
 from datamodules import Episode, Trajectories, write_trajectories
-from idapt_pl.diagnosis.changes import ChangeFinding, ChangeReport
-from idapt_pl.diagnosis.law_result import LawFinding, LawReport
-from idapt_pl.diagnosis.model import read_model
-from idapt_pl.diagnosis.repaired import repair_model
-from idapt_pl.diagnosis.result import (
+from idapt_pl.diagnosis.answer.changes import ChangeFinding, ChangeReport
+from idapt_pl.diagnosis.answer.law_result import LawFinding, LawReport
+from idapt_pl.diagnosis.answer.repaired import repair_model
+from idapt_pl.diagnosis.answer.result import (
     Alternative,
     DiagnosisResult,
     EffectEstimate,
@@ -29,6 +28,7 @@ from idapt_pl.diagnosis.result import (
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.effects.wording import format_estimate, format_number, phrase_at, unit_at
+from idapt_pl.prediction.model import read_model
 from idapt_pl.report.changed_settings import span
 from idapt_pl.report.diagnosis_files import write_diagnosis
 from idapt_pl.report.diagnosis_page import effects_section

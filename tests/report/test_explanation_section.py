@@ -2,8 +2,8 @@
 
 import re
 
-from idapt_pl.diagnosis.explanation import ExplainingEffect, Explanation, Standing
-from idapt_pl.diagnosis.result import ErrorTable
+from idapt_pl.diagnosis.answer.explanation import ExplainingEffect, Explanation, Standing
+from idapt_pl.diagnosis.answer.result import ErrorTable
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.joints import JointDamping, JointFrictionloss
 from idapt_pl.report.explanation_section import explanation_section, probability_sentences

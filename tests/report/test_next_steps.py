@@ -2,7 +2,7 @@
 
 import pytest
 
-from idapt_pl.diagnosis.result import EffectEstimate
+from idapt_pl.diagnosis.answer.result import EffectEstimate
 from idapt_pl.effects.base import EFFECTS
 from idapt_pl.report.next_steps import CONFIRM, OTHERWISE, anchor_of, linked_name, next_steps_section
 

@@ -13,7 +13,7 @@ from conftest import TINY, numbered_episodes
 
 from cli.main import main
 from datamodules import write_trajectories
-from idapt_pl.diagnosis.result import ChannelError, EffectEstimate, ParameterEstimate
+from idapt_pl.diagnosis.answer.result import ChannelError, EffectEstimate, ParameterEstimate
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.joints import JointArmature
 from idapt_pl.files import read_json, write_json, write_yaml

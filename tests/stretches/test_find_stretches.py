@@ -9,8 +9,8 @@ from conftest import ROOT
 
 from datamodules import Episode, Trajectories
 from idapt_pl.deployment_faults.forecast import choose_starts
-from idapt_pl.diagnosis.data import UnusableData, as_recordings, sample_windows, window_starts
-from idapt_pl.diagnosis.simulator import Simulator
+from idapt_pl.prediction.data import UnusableData, as_recordings, sample_windows, window_starts
+from idapt_pl.prediction.simulator import Simulator
 from idapt_pl.stretches.diagnose import diagnose_stretches
 from idapt_pl.stretches.find import find_stretches, without_short_gaps
 from idapt_pl.stretches.stretch import Stretch, leave_out, marked_steps

@@ -1,0 +1,1 @@
+"""What a finished search says: causes with intervals, what else could be, what is left, and what to record next."""

@@ -1,0 +1,68 @@
+"""What to record next."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idapt_pl.diagnosis.answer.result import Verdict
+from idapt_pl.diagnosis.rounds.revision import with_rival
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+
+HARDLY = 0.1
+"""Differences of two predictions, in standard deviations of the noise, that larger motions of the same kind do not make
+much of."""
+
+
+def next_experiment(context: SearchContext, state: SearchState, verdict: Verdict) -> str:
+    """What to record next, in words; empty where nothing would help."""
+    if verdict is Verdict.INSUFFICIENT_EXCITATION:
+        return (
+            "Larger and more varied commands on every actuator (multisines over the range, steps, holds): "
+            "these recordings barely move the joints."
+        )
+    confounded = next((a for a in state.accepted if a.equivalent), None)
+    if confounded:
+        others = ", ".join(t.candidate.label for t in confounded.equivalent[:4])
+        how = separating_recording(context, state, confounded)
+        return f"To tell {confounded.candidate.label} from {others}: {how}"
+    if verdict is Verdict.UNEXPLAINED_RESIDUAL:
+        return (
+            "Repeat the same commands several times (what repeats belongs in the model, the rest is noise or time), "
+            "and move one joint at a time at several speeds and loads."
+        )
+    return ""
+
+
+def separating_recording(context: SearchContext, state: SearchState, effect: AcceptedEffect) -> str:
+    """The recorded window on which two indistinguishable explanations disagree most: do more of that."""
+    sim, windows = context.sim, state.windows.fit.windows
+    a, b = predictions_apart(context, state, effect)
+    k = int(np.argmax(np.square(np.clip(a - b, -50, 50)).sum(1)))
+    r, s = sim.data[windows.episode[k]], windows.start[k]
+    usual_speed = np.sqrt(np.mean(np.square(np.concatenate([d.qvel for d in sim.data])), 0)) + 1e-9
+    apart = float(np.sqrt(np.square(a[k] - b[k]).mean()))
+    if apart < HARDLY:
+        return (
+            f"no recording like these will do: nowhere do the two predictions differ by more than {apart:.2g} sigma. "
+            "`idapt excite` looks for a motion that tells them apart, or says that there is none."
+        )
+    joint = sim.channels[int(np.argmax(np.abs(r.qvel[s]) / usual_speed))]
+    commands = np.round(r.actions[s : s + windows.offsets[-1]].mean(0), 3).tolist()
+    return (
+        f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two "
+        f"predictions differ by {apart:.2g} sigma, with larger amplitudes."
+    )
+
+
+def predictions_apart(
+    context: SearchContext, state: SearchState, effect: AcceptedEffect
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened residuals of the fitted windows, (n, rows): with an effect, and with the first of its equivalents.
+
+    Beside the latter the others have the values that were fitted beside it.
+    """
+    other = effect.equivalent[0]
+    instead = with_rival(state, effect, other.candidate, other.x)
+    first, second = (context.whitened(state.windows.fit, s.effects) for s in (state, instead))
+    return first, second

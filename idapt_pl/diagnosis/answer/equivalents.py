@@ -1,0 +1,59 @@
+"""What does as well as an effect found, judged again where a search ends: beside all the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from idapt_pl.diagnosis.candidates.fit import effects_of
+from idapt_pl.diagnosis.candidates.trial import Trial
+from idapt_pl.diagnosis.rounds.acceptance import no_clear_difference
+from idapt_pl.diagnosis.rounds.revision import with_rival
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+
+
+def with_equivalents_of_now(context: SearchContext, state: SearchState) -> SearchState:
+    """The state with the equivalents of each effect fitted again; those that are clearly worse now are mere rivals."""
+    if not any(a.equivalent for a in state.accepted):
+        return state
+    losses = context.loss(state.windows.held_out, state.effects)
+    return replace(state, accepted=tuple(judged_again(context, state, a, losses) for a in state.accepted))
+
+
+def judged_again(context: SearchContext, state: SearchState, effect: AcceptedEffect, now: np.ndarray) -> AcceptedEffect:
+    """An effect with the equivalents that still are; ``now``: held-out losses of what was found, (n,)."""
+    others = [t for t in effect.equivalent if not is_accepted(t, state)]
+    fitted = [fitted_instead(context, state, effect, t) for t in others]
+    episodes = state.windows.held_out.windows.episode
+    equal = tuple(t for t in fitted if not clearly_worse(t, now, episodes))
+    behind = tuple(t for t in fitted if t not in equal)
+    rivals = (t for t in effect.rivals if not any(is_same(t, f) for f in fitted))
+    return replace(effect, equivalent=equal, rivals=(*behind, *rivals))
+
+
+def clearly_worse(t: Trial, now: np.ndarray, episodes: np.ndarray) -> bool:
+    """Whether a trial leaves clearly more than what was found; ``now``: losses of that, (n,), in windows of these."""
+    assert t.losses is not None, "what was fitted was judged"
+    return t.held_out > now.mean() and not no_clear_difference(now, t.losses, episodes)
+
+
+def fitted_instead(context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial) -> Trial:
+    """A trial's candidate in the place of an effect, all parameters fitted again: the others' first, then its own."""
+    instead = with_rival(state, effect, trial.candidate, (*state.without(effect).estimates, trial.x[-1]))
+    candidates = instead.candidates
+    fitted = context.fit(state.windows.screen, state.fixed, candidates, instead.estimates, 3).x
+    losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, fitted)))
+    place = state.accepted.index(effect)
+    return replace(trial, x=(*fitted[:place], *fitted[place + 1 :], fitted[place]), losses=losses)
+
+
+def is_accepted(t: Trial, state: SearchState) -> bool:
+    """Whether a trial is of a candidate that was accepted by now."""
+    return any((t.candidate.label, t.candidate.names) == (c.label, c.names) for c in state.candidates)
+
+
+def is_same(one: Trial, other: Trial) -> bool:
+    """Whether two trials are of the same candidate."""
+    return (one.candidate.label, one.candidate.names) == (other.candidate.label, other.candidate.names)

@@ -1,0 +1,1 @@
+"""What a search tries: all candidates with their scales, how they are fitted, and what became of each."""

@@ -1,0 +1,191 @@
+"""Reopen early choices: swap an effect for a rival of its round, leave out what has become needless."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from idapt_pl.diagnosis.candidates.fit import effects_of
+from idapt_pl.diagnosis.candidates.trial import Trial
+from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS, PARSIMONY, rough_fits
+from idapt_pl.diagnosis.rounds.gates import CLEAR_GAIN, beyond_its_kind, too_small_a_change, why_implausible
+from idapt_pl.diagnosis.rounds.measurement import measure_intervals
+from idapt_pl.diagnosis.rounds.numerics import retest_numerics
+from idapt_pl.diagnosis.rounds.replay import worse_replays
+from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
+from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.search_state import (
+    AcceptedEffect,
+    SearchState,
+    refit_accepted,
+    renew,
+    slopes_of_accepted,
+)
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.plausible import rarity
+from idapt_pl.estimation.intervals import paired_gain
+from idapt_pl.estimation.stepwise import backward_elimination
+from idapt_pl.prediction.force_windows import judges_forces
+
+log = logging.getLogger(__name__)
+SWAP_PASSES = 2
+"""How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
+PLACES_SCREENED = 4
+"""So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
+IN_SIGHT = 1.5
+"""Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
+MANY_PARAMETERS = 3
+"""An effect with so many bends to what others did: beside others it has to stand against all of them."""
+
+
+def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
+    """Was an early choice wrong, made before later effects and the numerics were known? Try its rivals again.
+
+    Where several effects are missing at once and much of the error stays, the first choice was made in their shadow,
+    and so were its rivals: then every effect has to stand against whatever the screen finds best in its place. So has
+    one of many parameters beside others, and there a simpler one that is as good takes its place.
+    """
+    context.progress("trying rivals", 0.88)
+    for _ in range(SWAP_PASSES):
+        far = len(state.accepted) > 1 and far_from_explained(context, state)
+        places = len(state.accepted) if far or len(state.accepted) < 2 else len(state.accepted) - 1
+        before = state
+        for place in range(places):
+            bends = len(state.accepted) > 1 and state.accepted[place].candidate.size >= MANY_PARAMETERS
+            afresh = bends or (far and place < PLACES_SCREENED)
+            rivals = rivals_for(context, state, place) if afresh else state.accepted[place].rivals
+            state = swap_one(context, state, place, rivals)
+        if not far or state is before:
+            break
+    return state
+
+
+def far_from_explained(context: SearchContext, state: SearchState) -> bool:
+    """Whether so much of the held-out error is left that more than one effect must be missing or wrong."""
+    return level(context, state) > FAR_LOSS
+
+
+def level(context: SearchContext, state: SearchState) -> float:
+    """Mean held-out loss."""
+    return float(context.loss(state.windows.held_out, state.effects).mean())
+
+
+def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[Trial]:
+    """The best candidates for the place of a found effect, given the others; roughly refitted."""
+    own = state.accepted[place].candidate
+    rest = refit_accepted(context, state.without(state.accepted[place]))
+    ranked = screen_candidates(context, rest, len(state.accepted), as_seen_before=True)
+    others = [t for t in ranked if (t.candidate.label, t.candidate.names) != (own.label, own.names)]
+    rough = rough_fits(context, rest, shortlist(others, context.settings.confirm))
+    most = IN_SIGHT * float(context.loss(state.windows.scout, state.effects).mean())
+    return [t for t in rough if t.rough_loss < most][:3]
+
+
+def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Sequence[Trial]) -> SearchState:
+    """The state with a rival in the place of an effect, or the same where none is clearly better."""
+    old = state.accepted[place]
+    rest = state.without(old)
+    now = context.loss(state.windows.held_out, state.effects)
+    best: Candidate | None = None
+    best_x: tuple[np.ndarray, ...] = ()
+    best_loss = float(now.mean())
+    slopes = slopes_of_accepted(context, rest, state.windows.fit) if rivals else None
+    for t in rivals:
+        candidates = [*rest.candidates, t.candidate]
+        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 5, slopes=slopes).x
+        after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
+        gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
+        if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
+            continue
+        dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
+        loss = float(after.mean()) + rarity(t.candidate) * max(gain, 0.0) + dearer
+        simpler = old.candidate.size - t.candidate.size >= 2  # and then as good is good enough
+        asked = -0.02 * float(now.mean()) if simpler else max(error, 0.03 * float(now.mean()))
+        if gain > asked and loss < (best_loss if best is not None or not simpler else np.inf):
+            best, best_loss, best_x = t.candidate, loss, x
+    if best is None:
+        return state
+    log.info("%s in place of %s: %.3g", best.label, old.candidate.label, best_loss)
+    state = with_rival(state, old, best, best_x)
+    return retest_numerics(context, refit_accepted(context, renew(context, state)))
+
+
+def with_rival(state: SearchState, old: AcceptedEffect, new: Candidate, x: Sequence[np.ndarray]) -> SearchState:
+    """A candidate in the place of an effect; ``x``: parameters of the others in their order, then its own."""
+    others = iter(x[:-1])
+    taken = replace(old, candidate=new, x=x[-1], equivalent=())
+    return replace(state, accepted=tuple(taken if a is old else replace(a, x=next(others)) for a in state.accepted))
+
+
+def eliminate_needless(context: SearchContext, state: SearchState) -> SearchState:
+    """Leave out again what the later effects have made needless."""
+    context.progress("pruning", 0.9)
+
+    def without(state: SearchState, round: int) -> SearchState | None:
+        return without_if_needless(context, state, next(a for a in state.accepted if a.round == round))
+
+    return backward_elimination(state, [a.round for a in state.accepted], without)
+
+
+def without_if_needless(context: SearchContext, state: SearchState, effect: AcceptedEffect) -> SearchState | None:
+    """The state without an effect, the others refitted, where they do as well alone."""
+    s, held_out = context.settings, state.windows.held_out
+    rest = refit_accepted(context, state.without(effect))
+    with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
+    gain, error = paired_gain(without, with_it, held_out.windows.episode)
+    by_forces = judges_forces(held_out)  # few instants tell of forces, replays nothing, and all joints have friction
+    share = s.relative_gain / (context.sim.model.nv if by_forces else 1)
+    needless = gain < max(share * float(without.mean()), 0.0 if by_forces else s.sureness * error)
+    slight = effect is not state.accepted[0] and too_small_a_change(
+        effect.candidate, effect.x, gain, float(without.mean())
+    )
+    doubtful = s.plausible and not by_forces and gain < CLEAR_GAIN * float(without.mean())
+    if not (needless or slight or (doubtful and worse_replays(context, state, rest))):
+        return None
+    log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
+    return rest
+
+
+def one_gain_for_many(context: SearchContext, state: SearchState) -> SearchState:
+    """The state with a gain of all motors, where that makes others needless and fewer parameters do as well.
+
+    A weaker motor looks like heavier bodies, more damping and more friction, all by one factor.
+    """
+    known = {a.candidate.label for a in state.accepted}
+    gains = [c for c in context.candidates if c.kind is ActuatorGain and c.label not in known]
+    gain = next((c for c in gains if c.target == "*" or context.sim.model.nu == 1), None)
+    if len(state.accepted) < 3 or gain is None or judges_forces(state.windows.fit):
+        return state
+    round = 1 + max(a.round for a in state.accepted)
+    wider = replace(state, accepted=(*state.accepted, AcceptedEffect(round, gain, np.array(gain.nominal, float))))
+    other = eliminate_needless(context, refit_accepted(context, wider))
+    fewer = sum(c.size for c in other.candidates) < sum(c.size for c in state.candidates)
+    before, after = level(context, state), level(context, other)
+    if not fewer or after > 1.02 * before:
+        return state
+    log.info("%s in place of several: %.3g, %.3g before", gain.label, after, before)
+    return retest_numerics(context, refit_accepted(context, renew(context, other)))
+
+
+def keep_sure(context: SearchContext, state: SearchState) -> SearchState:
+    """Put intervals on the estimates, and leave out, one by one, what may as well be as the model has it.
+
+    What ended where no machine is says so.
+    """
+    context.progress("measuring", 0.92)
+    state = measure_intervals(context, state)
+    while context.settings.plausible and (unsure := [a for a in state.accepted if a.unsure]):
+        least = min(unsure, key=lambda a: a.candidate.change(a.x))
+        log.info("left out %s: its interval holds what the model has", least.candidate.label)
+        rest = refit_accepted(context, renew(context, state.without(least)))
+        state = measure_intervals(context, retest_numerics(context, rest))
+    return replace(state, accepted=tuple(map(with_its_doubts, state.accepted)))
+
+
+def with_its_doubts(a: AcceptedEffect) -> AcceptedEffect:
+    """An effect that the last fits drove to the end of what is plausible, with the reason why it is named last."""
+    return replace(a, implausible=a.implausible or why_implausible(a.candidate, a.x))

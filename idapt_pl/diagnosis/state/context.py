@@ -1,0 +1,112 @@
+"""What stays the same throughout a search, and what the simulator says of a model."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from idapt_pl.diagnosis.candidates.fit import CandidateFit, fit_candidates
+from idapt_pl.diagnosis.candidates.responses import Responses
+from idapt_pl.diagnosis.state.settings import SearchSettings
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.world import Numerics
+from idapt_pl.estimation.least_squares import robust_loss
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.noise import Noise
+from idapt_pl.prediction.simulator import Effects, Simulator
+from idapt_pl.prediction.whitening import WhitenedWindows
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and how far along the diagnosis is, 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchContext:
+    """What stays the same throughout a search.
+
+    Attributes:
+        sim: of the nominal model, with the recordings.
+        declared: effects known already, applied throughout.
+        candidates: effects to consider, in the ranges of what is plausible.
+        unlimited: the same without these ranges; empty where they have none.
+        fit_episodes: numbers of the episodes to fit on.
+        held_out_episodes: and of those to judge on; nothing is fitted to them.
+        steps: control steps in a window.
+        probe: short windows from which the noise is estimated.
+        known_noise: of the sensors, where it is given: then it is not estimated.
+        seed: of the choice of windows.
+        settings: how hard to look.
+        progress: told what is being done.
+        responses: what candidates changed when they were last simulated on the scout windows.
+        started: when the search began, by the clock that only tells durations, s.
+    """
+
+    sim: Simulator
+    declared: Effects
+    candidates: Sequence[Candidate]
+    unlimited: Sequence[Candidate]
+    fit_episodes: np.ndarray
+    held_out_episodes: np.ndarray
+    steps: int
+    probe: Windows
+    known_noise: Noise | None
+    seed: int
+    settings: SearchSettings
+    progress: Progress
+    responses: Responses = field(default_factory=Responses)
+    started: float = field(default_factory=time.perf_counter)
+
+    @property
+    def hurried(self) -> bool:
+        """Whether only a quick look was asked for, and half of its time has passed."""
+        return not self.settings.thorough and time.perf_counter() - self.started > self.settings.seconds / 2
+
+    @property
+    def horizon(self) -> float:
+        """How long predictions run, s."""
+        return self.steps * self.sim.control_period
+
+    def whitened(self, split: WhitenedWindows, effects: Effects) -> np.ndarray:
+        """Whitened residuals under some effects, (n, rows)."""
+        return split.residual(self.sim, effects)
+
+    def loss(self, split: WhitenedWindows, effects: Effects) -> np.ndarray:
+        """Robust loss of every window, (n,)."""
+        return robust_loss(self.whitened(split, effects))
+
+    def fit(
+        self,
+        split: WhitenedWindows,
+        fixed: Effects,
+        candidates: Sequence[Candidate],
+        x: Sequence[np.ndarray],
+        iterations: int,
+        exact: bool = False,
+        slopes: np.ndarray | None = None,
+    ) -> CandidateFit:
+        """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidates.fit.fit_candidates`."""
+        return fit_candidates(lambda e: self.whitened(split, e), fixed, candidates, x, iterations, exact, slopes)
+
+    @property
+    def numerics_declared(self) -> bool:
+        """Whether time step and integrator are given, and not to be changed."""
+        return any(e.name == Numerics.name for e in self.declared)
+
+    def with_coarse_numerics(self, effects: Effects, longest_step: float | None = None) -> Effects:
+        """Effects with a time step of a quarter of the control period in place of a finer one.
+
+        Good enough for a first look. It is no longer than ``longest_step`` (default: the model's own).
+        """
+        if self.numerics_declared:
+            return effects
+        found, opt = next((e for e in effects if isinstance(e, Numerics)), None), self.sim.model.opt
+        exact = found.timestep if found else float(opt.timestep)
+        four = found.integrator == "RK4" if found else opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        step = min(longest_step or float(opt.timestep), self.sim.control_period / 4)
+        if (4 if four else 1) / exact < 1.5 / step:
+            return effects
+        return (*(e for e in effects if e is not found), Numerics("world", step, "implicitfast"))

@@ -1,0 +1,182 @@
+"""Noise of the sensors: given, or estimated from the recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.optimize import nnls
+
+from idapt_pl.estimation.robust import robust_deviation
+from idapt_pl.prediction.data import Recording, Windows, position_difference, slope_reach, slopes
+from idapt_pl.prediction.simulator import Effects, Simulator
+
+LEAST_OF_KIND = 0.5
+"""Share of the median noise of sensors of its kind that a sensor has at least."""
+
+BENT = 3.0
+"""How many times what the motion's bending does to a slope counts, where windows begin with slopes of positions.
+
+It is no noise: it goes with what the machine does, as a wrong mass does."""
+
+PRIOR_WEIGHT = 0.2
+"""Weight of the first guess of a variance, in units of what a residual of every window weighs."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations: of every compared channel, and of the first state of a window (2 nv,).
+
+    ``systematic`` are errors that are the same in all recordings, each as an effect of one standard deviation.
+    Intervals of estimates allow for them; they are not looked for. ``forces`` (nv,) are what nothing explains of those
+    on each degree of freedom, where models are judged by forces (:mod:`~idapt_pl.prediction.force_windows`), else None.
+    """
+
+    sensors: np.ndarray
+    start: np.ndarray
+    systematic: Effects = ()
+    forces: np.ndarray | None = None
+
+
+def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:
+    """An upper bound on the sensors' noise: what a cubic through neighbouring samples cannot follow."""
+    weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+    signals = [[position_difference(model, r.qpos[:1], r.qpos) for r in data], [r.qvel for r in data]]
+    parts = []
+    for episodes in signals if velocities else signals[:1]:
+        each = [sum(w * x[i : len(x) - 4 + i] for i, w in enumerate(weights)) for x in episodes if len(x) > 5]
+        rough = np.concatenate(each) if each else np.full((1, model.nv), np.inf)
+        random = robust_deviation(rough - np.median(rough, 0)) / np.linalg.norm(weights)
+        parts.append(np.maximum(random, rounding_noise(episodes)))
+    return parts
+
+
+def rounding_noise(episodes: list[np.ndarray]) -> np.ndarray:
+    """Standard deviation of rounding, where a channel moves in steps of one size (counts of an encoder); else 0.
+
+    A machine at rest shows the same count all the time: it has noise all the same.
+    """
+    steps = np.concatenate([np.abs(np.diff(x, axis=0)) for x in episodes if len(x) > 1])
+    noise = np.zeros(steps.shape[1])
+    for i, moved in enumerate(steps.T):
+        moved = moved[moved > 1e-9]
+        if len(moved) > 20:
+            counts = moved / moved.min()
+            noise[i] = moved.min() / 12**0.5 * (np.mean(np.abs(counts - counts.round()) < 0.05) > 0.95)
+    return noise
+
+
+def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
+    """Noise that explains the typical residuals, no larger than the smoothness of the data allows.
+
+    Where the model is wrong this is too large, so it is made again after each effect that is added.
+
+    Args:
+        sim: the simulator.
+        effects: of the current model.
+        windows: short ones, of two control steps where velocities were measured.
+    """
+    residual, A = (noise_from_steps if sim.velocities else noise_from_windows)(sim, effects, windows)
+    channels, nv = residual.shape[-1], sim.model.nv
+    limit = np.concatenate(smoothness_noise(sim.model, sim.data, sim.velocities))
+    if not sim.velocities:
+        limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
+    low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
+    counts = rounding_noise([position_difference(sim.model, r.qpos[:1], r.qpos) for r in sim.data])
+    low[: len(counts)] = np.maximum(low[: len(counts)], counts)
+    sigma = np.clip(shrink_to_kind(sim.model, np.sqrt(fit_variances(A, residual))), low, np.maximum(limit, low))
+    if sim.velocities:
+        return Noise(sigma, sigma)
+    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], BENT))
+    return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
+
+
+def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
+    """No sensor is taken to be much better than the others of its kind (:data:`LEAST_OF_KIND`).
+
+    Where stiff springs or contacts pass the noise of other channels on, a channel's own is a small part of what is
+    seen, and the estimate of it may come out as nothing: all the rest would then count as evidence.
+
+    Args:
+        model: the model.
+        sigma: of positions, and of velocities, (2 nv,).
+    """
+    turns = np.concatenate([{0: [0] * 3 + [1] * 3, 1: [1] * 3, 2: [0], 3: [1]}[int(t)] for t in model.jnt_type])
+    kind, out = np.concatenate([turns, 2 + turns]), sigma.copy()
+    for k in np.unique(kind):
+        out[kind == k] = np.maximum(sigma[kind == k], LEAST_OF_KIND * np.median(sigma[kind == k]))
+    return out
+
+
+def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
+    """Standard deviation of velocities that are slopes of positions, (nv,).
+
+    Args:
+        model: the model.
+        data: recordings.
+        sensors: noise of the positions, (nv,).
+        bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
+    """
+    narrow, wide = (
+        np.concatenate([slopes(model, r.time, r.qpos, wider * slope_reach(r.time)) for r in data]) for wider in (1, 2)
+    )
+    dt = float(np.median(np.diff(data[0].time)))
+    random = 2**0.5 * sensors / (2 * dt * slope_reach(data[0].time))
+    return np.hypot(random, bent * robust_deviation(narrow - wide) / 3)
+
+
+def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Changes from one single-step residual to the next, (n, 1, channels), and A with their variances A v.
+
+    With noise n_k of sample k, a residual is n_{k+1} + S_k n_k. What the model gets wrong mostly lasts longer than a
+    control step, and cancels in e_{k+1} - e_k = n_{k+2} + (S_{k+1} - 1) n_{k+1} - S_k n_k.
+    """
+    first, second = (Windows(windows.episode, windows.start + k, np.array([1])) for k in (0, 1))
+    (e0, S0), (e1, S1) = (residual_slopes(sim, effects, w) for w in (first, second))
+    one = np.eye(e0.shape[-1])
+    return e1 - e0, one + np.square(S1 - one) + np.square(S0)
+
+
+def noise_from_windows(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """The earliest residuals of windows, (n, 2, channels), and A with their variances A v, for positions alone.
+
+    The velocity that a window starts with then has a noise of its own.
+    """
+    residual, S = residual_slopes(sim, effects, windows)
+    through, nv = np.square(S[:, :2]), sim.model.nv
+    return residual[:, :2], np.concatenate([np.eye(nv) + through[..., :nv], through[..., nv:]], -1)
+
+
+def residual_slopes(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n, j, channels) and their derivatives with respect to the first state, (n, j, channels, 2 nv)."""
+    base, small = sim.residual(effects, windows), np.repeat([1e-5, 1e-4], sim.model.nv)
+    return base, np.stack([(sim.residual(effects, windows, n) - base) / n.sum() for n in np.diag(small)], -1)
+
+
+def fit_variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.ndarray:
+    """Non-negative v with Var(residual) = A v, from residuals of which some are outliers.
+
+    Iteratively re-weighted least squares on the squares; beyond three sigma they do not count. A little weight on equal
+    shares of sensor and first state settles what the residuals leave open.
+
+    Args:
+        A: (n, j, channels, p).
+        residual: (n, j, channels).
+        rounds: of re-weighting.
+    """
+    n, p = len(A), A.shape[-1]
+    spread = np.square(robust_deviation(residual[:, 0])) + 1e-30
+    typical, channels = np.median(A[:, 0], 0), len(spread)
+    guess = spread / typical[:, :channels].diagonal()
+    if p > channels:
+        guess = np.concatenate([guess, spread / np.maximum(typical[:, channels:].diagonal(), 1e-12)])
+    v, rows, squares = guess, A.reshape(-1, p), np.square(residual).ravel() + 1e-30
+    for _ in range(rounds):
+        expected = rows @ v + 1e-30
+        expected *= max(1.0, float(np.median(squares / expected)) / 0.455)  # the median of chi²
+        keep = squares < 9 * expected
+        left, right = rows[keep] / expected[keep, None], squares[keep] / expected[keep] / 0.973
+        pull = PRIOR_WEIGHT * np.sqrt(n) / guess
+        v, _ = nnls(np.concatenate([left, np.diag(pull)]), np.concatenate([right, pull * guess]), maxiter=100 * p)
+    return v

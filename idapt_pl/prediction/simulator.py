@@ -1,0 +1,375 @@
+"""Predictions of measured windows by the model with some effects, many windows at once."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from idapt_pl.effects.base import PLAY_SUFFIX, Effect
+from idapt_pl.effects.learned import SignalForce
+from idapt_pl.effects.own_signals import take_signals
+from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
+from idapt_pl.effects.world import ExternalForce
+from idapt_pl.prediction.activations import FirstActivations
+from idapt_pl.prediction.backlash import BacklashCoordinates
+from idapt_pl.prediction.data import Recording, Windows, position_difference, shift_positions
+from idapt_pl.prediction.held_commands import HeldCommands
+from idapt_pl.prediction.interpolation import interpolate_states
+from idapt_pl.prediction.law_history import LawsInWindows
+from idapt_pl.prediction.recent import RecentArrays
+
+Effects = tuple[Effect, ...]
+Motion = tuple[np.ndarray, np.ndarray]
+"""Positions and velocities."""
+Sense = Callable[[np.ndarray, np.ndarray], Motion]
+"""What a sensor makes of positions and velocities, or the other way round."""
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+COMMAND = mujoco.mjtState.mjSTATE_CTRL
+COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
+
+
+SETTLING_SAMPLES = 8
+"""Samples before a window from which it is found out where in their play joints are."""
+
+KEPT_SAMPLES, KEPT_PREDICTIONS = 2**25, 2**27
+"""Bytes: of recorded samples, and of predictions, of which many are asked for again in the next round of a search."""
+
+FORCE_HOLD = 1e-3
+"""Force laws that MJCF has no words for are evaluated so often at most [s], and held in between."""
+
+LAW_HOLD = 2e-3
+"""The same of learned laws, which are smooth [s]."""
+
+# A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
+# A C function is called without Python's lock, so this is safe from the stepping threads.
+_SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
+
+
+@contextmanager
+def silence_mujoco() -> Iterator[None]:
+    """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_SILENCE)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+class Simulator:
+    """Replays windows from their first measured state.
+
+    Delays and filters of the model's own actuators act on the commands, as found ones do. Predictions are read off at
+    the samples' own times. What is asked for again is not simulated again.
+
+    Args:
+        spec: the nominal model.
+        data: the recordings.
+        velocities: compare velocities too (they were measured); else positions alone.
+        threads: for stepping; default all cores.
+        unmeasured: names of joints, or ``"<joint> velocity"``, that are not compared: their recordings only say where
+            to begin.
+    """
+
+    def __init__(
+        self, spec: mujoco.MjSpec, data: list[Recording], velocities: bool, threads: int | None = None,
+        unmeasured: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        self.spec, self.velocities = spec, velocities
+        self._plain, self.own = take_signals(spec)
+        self.model = self._plain.copy().compile()
+        self.threads = threads or os.cpu_count() or 1
+        self.control_period = float(np.median(np.diff(data[0].time)))
+        self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
+        self.calls, self.kept_models = 0, 8
+        self._record(data)
+        self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
+
+    def replaying(self, data: list[Recording]) -> Simulator:
+        """The same for other recordings; compiled models are shared."""
+        twin = copy.copy(self)
+        twin._record(data)
+        return twin
+
+    def _record(self, data: list[Recording]) -> None:
+        """Recordings, and what is kept of them."""
+        self.data, self.commands = data, HeldCommands(self.model, data, self.own)
+        self.activations = FirstActivations(self.model, data)
+        self._samples = RecentArrays[np.ndarray](KEPT_SAMPLES)
+        self._predictions = RecentArrays[Motion](KEPT_PREDICTIONS)
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of what residuals are of, at every sample; ``compared`` says which of them count."""
+        m = self.model
+        names: list[str] = []
+        for j in range(m.njnt):
+            kind, name = m.jnt_type[j], m.joint(j).name or f"joint {j}"
+            size = {0: 6, 1: 3}.get(int(kind), 1)
+            names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+        return names + [f"{n} velocity" for n in names] * self.velocities
+
+    def compile(self, effects: Effects) -> mujoco.MjModel:
+        """The model with those effects that MJCF can say; command effects act on the commands instead."""
+        return self._ready(effects)[0]
+
+    def spec_with(self, effects: Sequence[Effect]) -> mujoco.MjSpec:
+        """A copy of the model, without delays and filters of its own, with those effects that MJCF can say."""
+        spec = self._plain.copy()
+        for effect in effects:
+            if not acts_outside_model(effect):
+                effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
+        return spec
+
+    def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
+        """The model and room to simulate it, for each thread; the last few are kept."""
+        said = tuple(e for e in effects if not acts_outside_model(e))
+        if said not in self._compiled:
+            if len(self._compiled) >= self.kept_models:
+                self._compiled.pop(next(iter(self._compiled)))
+            model = self.spec_with(said).compile()
+            self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
+        return self._compiled[said]
+
+    def residual(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Measured minus predicted at every sample, (n, j, channels).
+
+        Args:
+            effects: the model's.
+            windows: to compare.
+            nudge: moves the first measured state, (2 nv,), for sensitivities.
+            push: further forces, (n, k, nv), each for a k-th of the window.
+        """
+        return self.difference(self.measured(windows, windows.offsets), self.predict(effects, windows, nudge, push))
+
+    def difference(self, one: Motion, other: Motion) -> np.ndarray:
+        """One motion minus another, in all channels, (n, j, channels)."""
+        parts = [position_difference(self.model, other[0], one[0])]
+        if self.velocities:
+            parts.append(one[1] - other[1])
+        return np.nan_to_num(np.concatenate(parts, -1), nan=1e3, posinf=1e3, neginf=-1e3).clip(-1e3, 1e3)
+
+    def predict(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> Motion:
+        """Predicted measurements at every sample: positions (n, j, nq) and velocities (n, j, nv)."""
+        if push is not None:
+            return self._simulate(effects, windows, nudge, push)
+        moved = b"" if nudge is None else nudge.tobytes()
+        key = (effects, windows.start.tobytes(), windows.episode.tobytes(), windows.offsets.tobytes(), moved)
+        return self._predictions.get(key, lambda: self._simulate(effects, windows, nudge, None))
+
+    def _simulate(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None, push: np.ndarray | None
+    ) -> Motion:
+        return self.seen(effects, windows, self.states(effects, windows, nudge, push)[0])
+
+    def states(
+        self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """True states, the first and that after every time step, (n, steps + 1, size), and commands (n, steps, nu).
+
+        The latter as they reach the actuators in every time step. Arguments as of :meth:`residual`.
+        """
+        self.calls += 1
+        model, data = self._ready(effects)
+        times, first = self._times(windows), self._start(effects, windows, nudge)
+        steps = int(np.ceil((times[:, windows.offsets[-1]] - times[:, 0]).max() / model.opt.timestep - 1e-6))
+        controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
+        play = BacklashCoordinates(self.model, model)
+        with silence_mujoco():
+            loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
+            first = play.expand(*first, loose)
+            return self._roll(model, data, effects, times[:, 0], *first, controls, windows, push), controls
+
+    def seen(self, effects: Effects, windows: Windows, states: np.ndarray) -> Motion:
+        """What is measured at every sample of windows in which a model goes through states (n, steps + 1, size)."""
+        model, times = self.compile(effects), self._times(windows)
+        ends = times[:, windows.offsets] - times[:, :1]
+        qpos, qvel = BacklashCoordinates(self.model, model).contract(*interpolate_states(model, states, ends))
+        for effect, joints in self._sensing(effects):
+            qpos, qvel = self._sense(effect.measure, joints, qpos, qvel)
+        return qpos, qvel
+
+    def mean_states(self, effects: Effects, windows: Windows) -> np.ndarray:
+        """Mean state in the control step in which windows begin, (n, size); rotations in the middle of it.
+
+        Of models without play in joints.
+        """
+        model, data = self._ready(effects)
+        steps = max(1, round(self.control_period / model.opt.timestep))
+        controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
+        with silence_mujoco():
+            times = self._times(windows)[:, 0]
+            states = self._roll(model, data, effects, times, *self._start(effects, windows), controls, windows)
+        mean = states.mean(1)
+        for adr, kind in zip(model.jnt_qposadr, model.jnt_type, strict=True):
+            turning = 1 + adr + np.arange({0: 7, 1: 4}.get(int(kind), 0))
+            mean[:, turning] = states[:, (steps + 1) // 2][:, turning]
+        return mean
+
+    def inverse_dynamics(
+        self, effects: Effects, windows: Windows, states: np.ndarray, qacc: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Generalised forces that a model would need besides its own to accelerate so, (n, nv), and ``qacc``.
+
+        Contacts and friction are as they would be under these accelerations.
+
+        Args:
+            effects: the model's, without play in joints.
+            windows: n of them: commands are the mean of what arrives in the control step in which they begin.
+            states: as of :meth:`mean_states`.
+            qacc: (n, nv); default is what the model does by itself.
+        """
+        model, (data, *_) = self._ready(effects)
+        controls = self.commands.averaged(effects, windows, 1, self.control_period)[:, 0]
+        forces = [e for e in effects if isinstance(e, ForceEffect)]
+        applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states)
+        if forces:
+            laws = LawsInWindows(model, self.model, effects, self.commands, windows)
+            applied[:, : model.nv] += laws.forces(states, controls)
+        lacking, found = np.zeros((len(states), model.nv)), np.zeros((len(states), model.nv))
+        for i, state in enumerate(states):
+            mujoco.mj_setState(model, data, state, STATE)
+            data.ctrl[:], data.qfrc_applied[:] = controls[i], applied[i, : model.nv]
+            data.xfrc_applied[:] = applied[i, model.nv :].reshape(-1, 6)
+            if qacc is None:
+                mujoco.mj_forward(model, data)
+            else:
+                data.qacc[:] = qacc[i]
+            found[i] = data.qacc
+            mujoco.mj_inverse(model, data)
+            mujoco.mj_fwdActuation(model, data)
+            own = data.qfrc_actuator + data.qfrc_applied
+            for b in np.flatnonzero(data.xfrc_applied.any(1)):
+                wrench = data.xfrc_applied[b]
+                mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.xipos[b], b, own)
+            lacking[i] = data.qfrc_inverse - own
+        return lacking, found
+
+    def _start(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> Motion:
+        """True positions and velocities where windows begin, (n, nq) and (n, nv), as sensors with errors say."""
+        qpos, qvel = (a[:, 0] for a in self.measured(windows, np.zeros(1, int)))
+        if nudge is not None:
+            nv = self.model.nv
+            qpos, qvel = shift_positions(self.model, qpos, nudge[:nv]), qvel + nudge[nv:]
+        for effect, joints in reversed(self._sensing(effects)):
+            qpos, qvel = self._sense(effect.invert, joints, qpos, qvel)
+        return qpos, qvel
+
+    def _sensing(self, effects: Effects) -> list[tuple[SensingEffect, list[int]]]:
+        """Errors of sensors, with the joints that they are of."""
+        return [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
+
+    def _times(self, windows: Windows) -> np.ndarray:
+        return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
+
+    def measured(self, windows: Windows, offsets: np.ndarray) -> Motion:
+        """Measured positions and velocities at samples of every window, (n, offsets, nq) and (n, offsets, nv)."""
+        return self._of("qpos", windows, offsets), self._of("qvel", windows, offsets)
+
+    def _of(self, name: str, windows: Windows, offsets: np.ndarray) -> np.ndarray:
+        """One channel of the recordings at samples of every window, (n, offsets, ...); the last few are kept."""
+        pairs = zip(windows.episode, windows.start, strict=True)
+        return self._samples.get(
+            (name, windows.start.tobytes(), windows.episode.tobytes(), offsets.tobytes()),
+            lambda: np.stack([getattr(self.data[e], name)[s + offsets] for e, s in pairs]),
+        )
+
+    def _joints(self, m: mujoco.MjModel, target: str) -> list[int]:
+        scalar = [j for j in range(m.njnt) if m.jnt_type[j] >= 2 and not m.joint(j).name.endswith(PLAY_SUFFIX)]
+        return [j for j in scalar if target in ("*", m.joint(j).name)]
+
+    def _settle(
+        self, play: BacklashCoordinates, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects,
+        windows: Windows,
+    ) -> np.ndarray:  # fmt: skip
+        """Where in their play joints are when windows begin, positions and velocities: (n, 2, joints with play).
+
+        Nothing measures it. So the samples before are gone through: the link is put where it was measured at each of
+        them, and what the motor does meanwhile decides which flank it rests on.
+        """
+        before = np.minimum(windows.start, SETTLING_SAMPLES)
+        early = Windows(windows.episode, windows.start - before, np.zeros(1, int))
+        per_sample = max(1, round(float(np.median(np.diff(self._times(windows)))) / model.opt.timestep))
+        steps = int(before.max(initial=0)) * per_sample
+        controls = self.commands.averaged(effects, early, steps, model.opt.timestep)
+        loose = np.zeros((len(windows), 2, play.size))
+        for k in range(int(before.max(initial=0))):
+            rows = np.flatnonzero(k < before)
+            at = Windows(early.episode[rows], early.start[rows] + k, np.zeros(1, int))
+            time, qpos, qvel = (self._of(name, at, at.offsets)[:, 0] for name in ("time", "qpos", "qvel"))
+            held = controls[rows, k * per_sample : (k + 1) * per_sample]
+            states = self._roll(model, data, effects, time, *play.expand(qpos, qvel, loose[rows]), held, at)
+            loose[rows] = play.read(states[:, -1, 1:])
+        return loose
+
+    def _sense(self, how: Sense, joints: list[int], qpos: np.ndarray, qvel: np.ndarray) -> Motion:
+        qpos, qvel = qpos.copy(), qvel.copy()
+        q, v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
+        qpos[..., q], qvel[..., v] = how(qpos[..., q], qvel[..., v])
+        return qpos, qvel
+
+    def _roll(
+        self, model: mujoco.MjModel, data: list[mujoco.MjData], effects: Effects, time: np.ndarray, qpos: np.ndarray,
+        qvel: np.ndarray, controls: np.ndarray, windows: Windows, push: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """States after every step, the first one in front: (n, steps + 1, size)."""
+        n, steps, _ = controls.shape
+        start = np.zeros((n, mujoco.mj_stateSize(model, STATE)))
+        start[:, 0], start[:, 1 : 1 + model.nq] = time, qpos
+        start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
+        if model.na:
+            start[:, 1 + model.nq + model.nv :][:, : model.na] = self.activations.at(controls[:, 0], windows)
+        forces = [e for e in effects if isinstance(e, ForceEffect)]
+        pushed = np.zeros((n, steps, model.nv + 6 * model.nbody))
+        if push is not None:
+            pushed[..., : self.model.nv] = push[:, np.arange(steps) * push.shape[1] // steps]
+        if not forces:
+            commands = controls if push is None else np.concatenate([controls, pushed], 2)
+            spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
+            states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
+            return np.concatenate([start[:, None], states], 1)
+        laws = LawsInWindows(model, self.model, effects, self.commands, windows)
+        hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
+        states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
+        for k in range(0, steps, held):
+            commands = controls[:, k : k + held]
+            applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states[-1])
+            applied[:, : model.nv] += laws.forces(states[-1], commands[:, 0])
+            after, _ = rollout.rollout(
+                model,
+                data,
+                states[-1],
+                np.concatenate([commands, pushed[:, k : k + held] + applied[:, None]], 2),
+                control_spec=int(COMMAND_AND_FORCE),
+                persistent_pool=self.threads > 1,
+            )
+            states += list(after.transpose(1, 0, 2))
+        return np.stack(states, 1)
+
+    def _forces(self, model: mujoco.MjModel, forces: Sequence[ForceEffect], state: np.ndarray) -> np.ndarray:
+        joint, body = np.zeros((len(state), model.nv)), np.zeros((len(state), model.nbody, 6))
+        qpos, qvel = state[:, 1 : 1 + model.nq], state[:, 1 + model.nq : 1 + model.nq + model.nv]
+        for effect in forces:
+            if isinstance(effect, ExternalForce):
+                body[:, model.body(effect.target).id, :3] += effect.force(qpos, qvel, state[:, 0])
+                continue
+            joints = self._joints(model, effect.target)
+            q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+            joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
+        return np.concatenate([joint, body.reshape(len(state), -1)], 1)
+
+
+def acts_outside_model(effect: Effect) -> bool:
+    """Whether an effect acts on commands, forces or measurements alone, and needs nothing in the model."""
+    return isinstance(effect, RuntimeEffect) and not effect.constrains

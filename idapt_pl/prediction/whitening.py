@@ -1,0 +1,103 @@
+"""Whitening: residuals of windows in units in which the right model leaves independent noise of variance 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from idapt_pl.estimation.intervals import clusters_of
+from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.noise import Noise
+from idapt_pl.prediction.simulator import Effects, Simulator
+
+
+@dataclass(frozen=True)
+class InitialStateSensitivity:
+    """How residuals depend on the first state of their window, by central differences of a finite size.
+
+    Attributes:
+        slope: d residual / d first state, (n, j, channels, 2 nv).
+        bend: half the second derivative, along each coordinate, (n, j, channels, 2 nv). Small where things are smooth,
+            large where the noise decides when a contact begins.
+    """
+
+    slope: np.ndarray
+    bend: np.ndarray
+
+
+def initial_sensitivity(
+    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray
+) -> InitialStateSensitivity:
+    """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise."""
+    base, slope, bend = sim.residual(effects, windows), [], []
+    for nudge in np.diag(size):
+        above, below = (sim.residual(effects, windows, n) for n in (nudge, -nudge))
+        slope.append((above - below) / (2 * nudge.sum()))
+        bend.append((above + below - 2 * base) / (2 * nudge.sum() ** 2))
+    return InitialStateSensitivity(np.stack(slope, -1), np.stack(bend, -1))
+
+
+def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray) -> np.ndarray:
+    """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, j channels): a row for what is compared.
+
+    R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
+    last, windows in which the noise decides whether a foot touches the floor would outweigh all others.
+    """
+    n, j, channels, _ = at.slope.shape
+    rows = np.flatnonzero(np.tile(compared, j))
+    S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start)], -1)
+    S = S.reshape(n, j * channels, -1)[:, rows]
+    R = S @ S.transpose(0, 2, 1)
+    R[:, np.arange(len(rows)), np.arange(len(rows))] += np.square(np.tile(noise.sensors, j)[rows])
+    scale = np.sqrt(np.einsum("nii->ni", R))
+    C = R / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(len(rows))
+    W = np.zeros((n, len(rows), j * channels))
+    W[:, :, rows] = np.linalg.inv(np.linalg.cholesky(C)) / scale[:, None, :]
+    return W
+
+
+def whiten(W: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Whitened rows: (n, j, channels) to (n, rows)."""
+    return np.einsum("nab,nb->na", W, residual.reshape(len(residual), -1))
+
+
+def moved_little(W: np.ndarray, before: np.ndarray, after: np.ndarray, share: float = 1.0) -> bool:
+    """Whether a model's predictions moved by less (squared) than a share of what it leaves, before and after.
+
+    Args:
+        W: whitens residuals, (n, rows, j channels).
+        before: residuals, (n, j, channels).
+        after: the same later.
+        share: of the lesser of what is left before and after.
+    """
+    one, other = whiten(W, before), whiten(W, after)
+    left = min(float(np.square(one).sum()), float(np.square(other).sum()))
+    return float(np.square(other - one).sum()) < share * left
+
+
+@dataclass(frozen=True)
+class WhitenedWindows:
+    """Windows, with what whitens their residuals under the current model: (n, rows, residuals)."""
+
+    windows: Windows
+    W: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> WhitenedWindows:
+        return replace(self, windows=self.windows[rows], W=self.W[rows])
+
+    @property
+    def clusters(self) -> np.ndarray:
+        """Windows within which noise may be dependent, by a number each, (n,): those of an episode.
+
+        One episode says nothing of how episodes differ, and two hardly anything: there it is those of a stretch.
+        """
+        return clusters_of(self.windows.episode, self.windows.start, enough=3)
+
+    def unwhitened(self, sim: Simulator, effects: Effects) -> np.ndarray:
+        """What is whitened: what was measured minus what is predicted, (n, j, channels)."""
+        return sim.residual(effects, self.windows)
+
+    def residual(self, sim: Simulator, effects: Effects) -> np.ndarray:
+        """Whitened residuals under some effects, (n, rows)."""
+        return whiten(self.W, self.unwhitened(sim, effects))
