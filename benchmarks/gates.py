@@ -6,9 +6,9 @@
 Controls and one to three effects, drawn as for benchmarks/several_effects.py; every second case is recorded poorly (see
 benchmarks/reliability.py). In every round of a search all of ``idapt_pl/diagnosis/rounds/gates.py`` are asked about
 each candidate that is judged on held-out episodes. ``right`` says whether it is a hidden effect that was not found
-before, ``gates`` which it did not pass, ``chosen`` whether the round took it. The second table takes gates one after the other
-until they keep out all wrong candidates of rounds that took nothing. It is about one round: what would come of a wrong
-choice later, when choices are reopened and what became needless is left out, it does not tell.
+before, ``gates`` which it did not pass, ``chosen`` whether the round took it. The second table takes gates one after
+the other until they keep out all wrong candidates of rounds that took nothing. It is about one round: what would come
+of a wrong choice later, when choices are reopened and what became needless is left out, it does not tell.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ import pytest
 
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.answer.law_result import formula_in_numbers, largest_and_usual_force
-from idapt_pl.diagnosis.answer.laws import search as law_search
 from idapt_pl.diagnosis.answer.summary import parameter_estimates
+from idapt_pl.diagnosis.laws import search as law_search
 from idapt_pl.diagnosis.laws.candidate import law_candidate
 from idapt_pl.diagnosis.laws.forecasts import regress
 from idapt_pl.diagnosis.laws.network import HIDDEN, network
