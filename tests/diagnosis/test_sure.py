@@ -1,5 +1,6 @@
 """What may as well be as the model has it, and what makes longer replays worse, is no finding."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -120,6 +121,11 @@ def test_what_no_recording_shows_may_be_anything_in_its_range():
         whitened=lambda split, effects: z,
         sim=SimpleNamespace(compile=lambda fixed: SimpleNamespace(opt=SimpleNamespace(timestep=0.0))),
     )
-    seen, unseen = measure_intervals(context, state).accepted[0].interval
+    measured = measure_intervals(context, state).accepted[0]
+    seen, unseen = measured.interval
     assert 0.001 < np.ptp(seen) < 0.05 and seen.mean() == pytest.approx(0.3)
     assert unseen.tolist() == [-0.5, 2.0]
+    assert measured.x == pytest.approx([0.3, 0.0]), "the fit's 0.1 is of no recording"
+    where = replace(two, strength=1)
+    state = replace(state, accepted=(AcceptedEffect(0, where, np.zeros(2)),))
+    assert measure_intervals(context, state).accepted[0].x == pytest.approx([0.3, 0.1]), "no strength, but where or how"

@@ -43,9 +43,12 @@ def systematic_changes(context: SearchContext, state: SearchState) -> list[np.nd
 def with_interval(a: AcceptedEffect, half: np.ndarray, timestep: float) -> AcceptedEffect:
     """An effect with an interval of half that width (p,), inside its bounds.
 
-    When in a time step a command acts is convention: delays are no surer than half a time step.
+    When in a time step a command acts is convention: delays are no surer than half a time step. A strength that no
+    recording shows stays as the model has it; a fit leaves it anywhere.
     """
     if a.candidate.kind in (ActuatorDelay, ActuatorLag):
         half = half + 0.5 * timestep
     low, high = a.candidate.bounds()
-    return replace(a, interval=np.stack([np.maximum(a.x - half, low), np.minimum(a.x + half, high)], 1))
+    unseen_strength = np.isinf(half) & (np.arange(len(half)) < (a.candidate.strength or len(half)))
+    x = np.where(unseen_strength, a.candidate.nominal, a.x)
+    return replace(a, x=x, interval=np.stack([np.maximum(x - half, low), np.minimum(x + half, high)], 1))
