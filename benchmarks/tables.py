@@ -2,7 +2,7 @@
 
     python benchmarks/tables.py           # the table of README.md: means and 95 % intervals over seeds
     python benchmarks/tables.py easy      # the same of the easy targets; quick: of the quick configs
-    python benchmarks/tables.py runs      # of every run in results/<config>.csv and results/curves.csv
+    python benchmarks/tables.py cheetah   # every run of HalfCheetah, version by version; likewise the other tasks
     python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
 
 ``python benchmarks/figures.py`` writes them into the pages. The benchmarks import what reads and writes the CSV files.
@@ -179,11 +179,11 @@ def versions(rows: Iterable[Row]) -> str:
     return " ".join(dict.fromkeys(c[:7] + "+" * c.endswith("dirty") for c in commits))
 
 
-def every_run(results: Path = RESULTS) -> str:
-    """A row for each run that is in the tables."""
-    names = ("pendulum", "cheetah", "walker", "fetch", "sawyer")
-    keys = {f"{name}_{size}": ("run",) for size in ("quick", "easy", "hard") for name in names}
-    keys["curves"] = ("config", "images", "method")
+def every_run(results: Path = RESULTS, name: str = "cheetah") -> str:
+    """A row for each run of a task that is in its tables; the pendulum has those of the curves besides."""
+    keys: dict[str, tuple[str, ...]] = {f"{name}_{size}": ("run",) for size in ("hard", "easy", "quick")}
+    if name == "pendulum":
+        keys["curves"] = ("config", "images", "method")
     lines = []
     for table, key in keys.items():
         rows = read_rows(results / f"{table}.csv")
@@ -201,7 +201,7 @@ TABLES: Mapping[str, Callable[[Path], str]] = {
     "easy": functools.partial(summary, size="easy"),
     "quick": functools.partial(summary, size="quick"),
     "kept": kept,
-    "runs": every_run,
+    **{name: functools.partial(every_run, name=name) for _, name, _ in SHOWN},
 }
 """Tables of the pages, by the names that ``benchmarks/figures.py`` finds there."""
 
