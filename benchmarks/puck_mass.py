@@ -20,7 +20,6 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-
 from tables import replace_rows
 from tqdm import tqdm
 
@@ -62,12 +61,13 @@ def record(env: VectorStateEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng, commands = np.random.default_rng(seed), []
     state = env.reset(seed=seed)[0]["state"][0]
     for _ in range(LONGEST):
-        commands.append(towards_goal(state, rng))
-        seen, _, ends, cut, _ = env.step(commands[-1][None].astype(np.float32))
+        command = towards_goal(state, rng)
+        seen, _, ends, cut, _ = env.step(command[None].astype(np.float32))
         if ends[0] or cut[0]:  # it is at its goal, and the next episode has begun
             break
+        commands.append(command)
         state = seen["state"][0]
-    return np.array(commands[:-1]), state[PUCK]
+    return np.array(commands), state[PUCK]
 
 
 def first_seed(seed: int) -> int:
