@@ -15,21 +15,25 @@ results/puck_mass.csv.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import numpy as np
-from tables import replace_rows
+from benchmarks.tables import replace_rows
 from tqdm import tqdm
 
-import idapt_pl  # noqa: F401  sets the GL backend before MuJoCo is loaded
 from cli.provenance import git_commit
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.tasks import make_task
 
-OUT = Path(__file__).parents[1] / "results" / "puck_mass.csv"
+OUT = ROOT / "results" / "puck_mass.csv"
 MASSES = (0.01, 0.02, 0.05, 0.1, 0.5)
 """kg; the first is the source's, the third the hard target's."""
 SOURCE, TRUE = 0, 2
