@@ -23,7 +23,6 @@ ORDER = (
     "state_predictor",
     "source_teacher",
     "source_teacher_success",
-    "source_teacher_trials",
     "source_student",
     "source_start",
     "source_rehearsal_teacher",

@@ -19,7 +19,11 @@ HOW_IT_IS_REACHED = {
 }  # fmt: skip
 """Likewise: how long is waited for a robot and where it is found; where recordings lie that were not read yet."""
 
-RETIRED: dict[str, dict[str, Any]] = {"policy": {"estimator_jitter": 0.0}, "schedule": {"source_actions": "policy"}}
+RETIRED: dict[str, dict[str, Any]] = {
+    "policy": {"estimator_jitter": 0.0},
+    "schedule": {"source_actions": "policy"},
+    "teacher": {"source_candidates": 1},
+}
 """Keys that older configs have, and the value at which leaving them out changes nothing."""
 
 

@@ -62,7 +62,6 @@ def begin_costs(config: Any, beside: bool) -> dict[str, float]:
     costs = {"source_teacher": 0.008 * t.steps}
     if beside:
         return costs
-    costs |= {f"source_teacher_{i}": costs["source_teacher"] for i in range(2, t.source_candidates + 1)}
     return costs | learning_costs(config, s.pretrain, s.source_policy, "source_") | {"direct_transfer": 30.0}
 
 

@@ -66,13 +66,13 @@ class TeacherSettings:
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
             estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
-        horizon: control steps after which its episodes are cut while it trains, as by a time limit, but not while it is
-            hardened or where there is an F; 0 is the task's. A robot that fell, and whose episode goes on, otherwise
-            learns mostly how to get along on its back.
+        horizon: control steps after which its episodes are cut while it trains in a repaired source, as by a time
+            limit, but not while it is hardened or where there is an F; 0 is the task's. A robot that fell, and whose
+            episode goes on, otherwise learns mostly how to get along on its back. In the plain source it may: such a
+            teacher shows more poses where it explores.
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
         afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
-        source_candidates: as ``candidates``, in the plain source, of tasks that make no ``attempts``.
         attempts: of tasks whose metric is success, teachers of the plain source that are trained at most, one after
             another with other random numbers, until one reaches the goal in half of its episodes there.
     """
@@ -91,7 +91,6 @@ class TeacherSettings:
     horizon: int = 0
     candidates: int = 1
     afresh: int = 0
-    source_candidates: int = 1
     attempts: int = 3
 
     def __post_init__(self) -> None:
@@ -103,7 +102,7 @@ class TeacherSettings:
             ranges
             | errors
             | {"strays": Range(0, 0.9), "updates_per_step": Range(0, 1e6, "(]")}
-            | dict.fromkeys(("candidates", "source_candidates", "attempts", "rounds"), Range(1, 100)),
+            | dict.fromkeys(("candidates", "attempts", "rounds"), Range(1, 100)),
         )
         check_ranges("teacher", {"afresh": self.afresh}, {"afresh": Range(0, self.candidates)})
         if bool(self.steps) != bool(self.dagger or self.rehearse) or (self.dagger and self.rehearse):
@@ -262,7 +261,7 @@ class Distillation:
             return expert
 
         def make(device: torch.device) -> VectorEnv:
-            n, cut = recipe.num_envs, self.settings.horizon
+            n, cut = recipe.num_envs, 0 if fresh else self.settings.horizon
             return self.worlds.training_states(n, cut) if F is None else StatesOnly(make_env(device))
 
         def train(n: str, anew: bool) -> StateSAC:
@@ -270,13 +269,10 @@ class Distillation:
 
         if fresh and self.worlds.task.metric == "success":
             self.expert = self.first_to_succeed(step, name, partial(train, anew=True))
-        elif fresh:
-            count = self.settings.source_candidates
-            self.expert = self.best_of_several(step, name, train, count, afresh=count)
-        elif F is None:
-            self.expert = self.best_of_several(step, name, train, self.settings.candidates, self.settings.afresh)
+        elif F is None and not fresh:
+            self.expert = self.best_of_several(step, name, train)
         else:
-            self.expert = train(name, anew=False)
+            self.expert = train(name, anew=fresh)
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
 
@@ -302,10 +298,9 @@ class Distillation:
 
         return float(self.stages.measure(step, name, make)["success"])
 
-    def best_of_several(
-        self, step: int, name: str, train: Callable[[str, bool], StateSAC], count: int, afresh: int
-    ) -> StateSAC:
-        """The best in the source of so many teachers, trained beside one another, the last of which begin anew."""
+    def best_of_several(self, step: int, name: str, train: Callable[[str, bool], StateSAC]) -> StateSAC:
+        """The best in the source of all candidates, trained beside one another, the last of which begin anew."""
+        count, afresh = self.settings.candidates, self.settings.afresh
         anew = {numbered(name, i): i > count - afresh for i in range(1, count + 1)}
         others = [
             self.aside(f"{n}_of_step_{step}", self.stages.folder(step) / n / "final.ckpt", partial(train, n, anew[n]))

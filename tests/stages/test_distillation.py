@@ -263,18 +263,19 @@ def test_a_taught_run_that_lost_its_last_step_repeats_it_bitwise(taught_run):
         assert all(torch.equal(v, again[k]) for k, v in kept.items()), name
 
 
-def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_source_as_it_is_and_repaired(teaching, tmp_path):
-    teaching.settings = replace(teaching.settings, candidates=3, source_candidates=3, noise=0.1)
+def test_of_several_teachers_the_one_goes_on_that_earns_most_in_the_repaired_source(teaching, tmp_path):
+    teaching.settings = replace(teaching.settings, candidates=3, noise=0.1)
     student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
-    for prefix in ("source_", ""):
-        student(0, prefix)
-        trials = json.loads((tmp_path / f"step_00/{prefix}teacher_trials.json").read_text())
-        assert len(trials["returns"]) == 3 and trials["chosen"] == int(np.argmax(trials["returns"]))
-        kept = [checkpoint(tmp_path, f"step_00/{prefix}{n}") for n in ("teacher", "teacher_2", "teacher_3")]
-        weights = teaching.expert.state_dict()
-        same = [all(torch.equal(weights[k], v) for k, v in each.items()) for each in kept]
-        assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
-        teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    student(0, "source_")
+    assert not (tmp_path / "step_00/source_teacher_2").exists(), "one teacher of the plain source is enough"
+    teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
+    student(0, "")
+    trials = json.loads((tmp_path / "step_00/teacher_trials.json").read_text())
+    assert len(trials["returns"]) == 3 and trials["chosen"] == int(np.argmax(trials["returns"]))
+    kept = [checkpoint(tmp_path, f"step_00/{n}") for n in ("teacher", "teacher_2", "teacher_3")]
+    weights = teaching.expert.state_dict()
+    same = [all(torch.equal(weights[k], v) for k, v in each.items()) for each in kept]
+    assert same == [i == trials["chosen"] for i in range(3)], "the three differ, and the best is the expert"
 
 
 def test_the_last_of_several_teachers_begin_afresh(teaching, monkeypatch):
@@ -296,18 +297,20 @@ def test_the_last_of_several_teachers_begin_afresh(teaching, monkeypatch):
     assert begun == {"teacher": False, "teacher_2": True, "teacher_3": True}
 
 
-def test_teachers_train_in_episodes_that_are_cut_and_are_compared_in_whole_ones(teaching, monkeypatch):
+def test_teachers_of_a_repaired_source_train_in_episodes_that_are_cut_and_are_compared_in_whole_ones(
+    teaching, monkeypatch
+):
     cuts = []
     teaching.settings = replace(teaching.settings, candidates=2, horizon=5)
     student = partial(teaching.student, build=image_policy, make_env=lambda device: teaching.worlds.grounded(2))
-    student(0, "source_")
     make = type(teaching.worlds).training_states
     monkeypatch.setattr(
         type(teaching.worlds), "training_states", lambda self, n, cut=0: (cuts.append(cut), make(self, n, cut))[1]
     )
+    student(0, "source_")
     teaching.worlds.add_effects([ActuatorGain("push", 0.8)])
     student(0, "")
-    assert cuts == [5, 5, 0]
+    assert cuts == [0, 5, 5, 0]
 
 
 def test_no_more_teachers_begin_afresh_than_there_are():
