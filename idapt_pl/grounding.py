@@ -84,7 +84,7 @@ class IterativeGrounding:
         """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
         done = [self.begin()]
         for k in range(1, length_of(self.schedule.grounding_steps) + 1):
-            D_T = (*done[-1].D_T, self.meet_target(k, done[-1].pi))
+            D_T = (*done[-1].D_T, record_target(self.context, k, on_policy(done[-1].pi), self.schedule.interactions))
             if self.settled(k, done[-1], D_T):
                 break
             done.append(self.step(k, done[-1], D_T))
@@ -107,8 +107,8 @@ class IterativeGrounding:
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
-        c, s, lengths = self.context, self.schedule, self.schedule.finetune
-        D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), s.interactions, g.G, g.F, horizon=s.policy_horizon))
+        c, lengths = self.context, self.schedule.finetune
+        D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F))
         P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G, replayed)
@@ -163,11 +163,6 @@ class IterativeGrounding:
         """D^T: images of the target, from exploration."""
         self.explore(0)  # here, so that training who explores is a stage and not part of the recording
         return record_target(self.context, 0, self.explore, self.schedule.images, self.schedule.exploration_horizon)
-
-    def meet_target(self, k: int, pi: AsymmetricSAC) -> Path:
-        """New D^T: images of the target, from the policy."""
-        s = self.schedule
-        return record_target(self.context, k, on_policy(pi), s.interactions, s.policy_horizon)
 
     def explore_source(self) -> Path:
         """D^S: images and states of the source, from exploration."""

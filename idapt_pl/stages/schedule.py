@@ -118,8 +118,6 @@ class Schedule:
         exploration_horizon: control steps after which an exploring episode is begun anew, in target and source; None
             for the task's own. What falls early in an episode shows nothing new for the rest of it.
         interactions: control steps taken in the target in each grounding step.
-        policy_horizon: control steps after which an episode of the policy is begun anew there, in target and source;
-            None for the task's own. Where a robot that fell lies for the rest of an episode, more beginnings show more.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
         paired_steps: so many control steps from the start of each of the target's episodes are played again in the
@@ -146,7 +144,6 @@ class Schedule:
     exploration: Exploration | None = "random"
     exploration_horizon: int | None = None
     interactions: int = 1000
-    policy_horizon: int | None = None
     source_policy: int | None = 10_000
     paired_steps: int = 0
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
@@ -165,9 +162,7 @@ class Schedule:
             "paired_steps": COUNT_OR_NONE,
             "source_policy": COUNT_OR_NONE,
         }
-        once |= {"grounding_steps": Range(0, 99)} | dict.fromkeys(
-            ("exploration_horizon", "policy_horizon"), Range(2, 1e6)
-        )
+        once |= {"grounding_steps": Range(0, 99), "exploration_horizon": Range(2, 1e6)}
         check_ranges("schedule", vars(self), once)
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))

@@ -39,7 +39,7 @@ PAPER = {
     "schedule.images": 20_000, "schedule.source_images": None, "schedule.interactions": 1000, "episodes": 100,
     "schedule.accumulate": False, "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False,
-    "schedule.exploration_horizon": None, "schedule.policy_horizon": None, "schedule.paired_steps": 0,
+    "schedule.exploration_horizon": None, "schedule.paired_steps": 0,
     "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
     "effects.known": None, "randomisation.ranges": None,
     # Open in the paper, from the authors' code
