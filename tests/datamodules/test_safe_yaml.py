@@ -50,10 +50,10 @@ def test_what_is_written_is_read_and_aliases_are_copies(written):
     ],
 )
 def test_what_cannot_be_read_is_told_at_once_and_by_name(written, content, told):
-    started = time.perf_counter()
+    started = time.process_time()  # not of the clock: others may be at work on this machine
     with pytest.raises(ValueError, match=rf"m\.yaml: .*{told}") as error:
         read_yaml(written(content))
-    assert time.perf_counter() - started < 2 and "\n" not in str(error.value)
+    assert time.process_time() - started < 2 and "\n" not in str(error.value)
 
 
 def test_a_file_that_is_not_there_or_a_folder_is_named(tmp_path):
