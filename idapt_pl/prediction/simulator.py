@@ -337,10 +337,7 @@ class Simulator:
         if not forces:
             commands = controls if push is None else np.concatenate([controls, pushed], 2)
             spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
-            pool = self.threads > 1
-            states, _ = rollout.rollout(
-                model, data, start, commands, control_spec=spec, nstep=steps, persistent_pool=pool
-            )
+            states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
         laws = LawsInWindows(model, self.model, effects, self.commands, windows)
         hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
