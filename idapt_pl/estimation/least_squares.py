@@ -34,6 +34,9 @@ SMALL_STEP = 0.02
 LONGEST_STEP = 20.0
 """Scales that one step changes a parameter by at most."""
 
+BENEFIT_OF_THE_DOUBT = 3.0
+"""How many times what the slopes promise a fit may still gain, for all that is known, when it is about to be left."""
+
 
 def huber(z: np.ndarray) -> np.ndarray:
     """z² up to HUBER, then linear (twice Huber's loss, 1964)."""
@@ -97,12 +100,14 @@ class LeastSquaresFit:
         loss: mean robust loss.
         J: d residual / d (x / scale) there, (n rows, p).
         z: residuals at x, (n, rows).
+        given_up: whether it was left, as it would not have become good enough.
     """
 
     x: np.ndarray
     loss: float
     J: np.ndarray
     z: np.ndarray
+    given_up: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,7 @@ def gauss_newton(
     iterations: int = 8,
     exact: bool = False,
     slopes: np.ndarray | None = None,
+    good_enough: float = np.inf,
 ) -> LeastSquaresFit:
     """Minimise Huber's loss: iteratively re-weighted Levenberg-Marquardt inside bounds, with numeric derivatives.
 
@@ -139,10 +145,17 @@ def gauss_newton(
         iterations: steps at most, at least 1.
         exact: measure the slopes once more where the fit ends. Else they are what the steps made of them.
         slopes: by the first parameters, known from elsewhere, (n rows, q): only the others' are measured at first.
+        good_enough: loss that is asked for. A fit that would not come there, by far, is left.
     """
     now, damping = _Point.at(residual, box.clip(x)), 1e-3
     J, fresh = jacobian(residual, now.x, now.z, box, slopes), slopes is None or not slopes.size
     for k in range(iterations):
+        if (
+            _hopeless(now, J, box, good_enough) and not fresh and k
+        ):  # steps that correct slopes leave some of them wrong
+            J, fresh = jacobian(residual, now.x, now.z, box), True
+        if _hopeless(now, J, box, good_enough):
+            return LeastSquaresFit(now.x, now.loss, J, now.z, given_up=True)
         better, damping = _damped_step(residual, now, J, box, damping, tries=4 if fresh else 1)
         gain, kept = 0.0, 0.0
         if better is not None:
@@ -160,6 +173,16 @@ def gauss_newton(
     if exact and not fresh:
         J = jacobian(residual, now.x, now.z, box)
     return LeastSquaresFit(now.x, now.loss, J, now.z)
+
+
+def _hopeless(now: _Point, J: np.ndarray, box: ParameterBox, good_enough: float) -> bool:
+    """Whether the minimum would leave more than is asked for, even if slopes promise far too little."""
+    if now.loss <= good_enough:
+        return False
+    z = now.z.ravel()
+    H, g = normal_equations(J, z, huber_weights(z))
+    minimum = box.step(now.x, _free_move(now.x, g, H, box), np.inf)
+    return now.loss - BENEFIT_OF_THE_DOUBT * _promised_gain(now, J, (minimum - now.x) / box.scale) > good_enough
 
 
 def _promised_gain(now: _Point, J: np.ndarray, step: np.ndarray) -> float:

@@ -16,8 +16,8 @@ from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import SignalForce
 from idapt_pl.effects.own_signals import take_signals
 from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
-from idapt_pl.effects.world import ExternalForce
 from idapt_pl.prediction.activations import FirstActivations
+from idapt_pl.prediction.applied_forces import AppliedForces
 from idapt_pl.prediction.backlash import BacklashCoordinates
 from idapt_pl.prediction.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.prediction.held_commands import HeldCommands
@@ -232,9 +232,9 @@ class Simulator:
         """
         model, (data, *_) = self._ready(effects)
         controls = self.commands.averaged(effects, windows, 1, self.control_period)[:, 0]
-        forces = [e for e in effects if isinstance(e, ForceEffect)]
-        applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states)
-        if forces:
+        applied = np.zeros((len(states), model.nv + 6 * model.nbody))
+        if any(isinstance(e, ForceEffect) for e in effects):
+            self._applied(model, effects).add_to(applied, states)
             laws = LawsInWindows(model, self.model, effects, self.commands, windows)
             applied[:, : model.nv] += laws.forces(states, controls)
         lacking, found = np.zeros((len(states), model.nv)), np.zeros((len(states), model.nv))
@@ -340,11 +340,12 @@ class Simulator:
             states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
             return np.concatenate([start[:, None], states], 1)
         laws = LawsInWindows(model, self.model, effects, self.commands, windows)
+        library = self._applied(model, effects)
         hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
         states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
         for k in range(0, steps, held):
-            commands = controls[:, k : k + held]
-            applied = self._forces(model, [e for e in forces if not isinstance(e, SignalForce)], states[-1])
+            commands, applied = controls[:, k : k + held], np.zeros((n, model.nv + 6 * model.nbody))
+            library.add_to(applied, states[-1])
             applied[:, : model.nv] += laws.forces(states[-1], commands[:, 0])
             after, _ = rollout.rollout(
                 model,
@@ -357,17 +358,9 @@ class Simulator:
             states += list(after.transpose(1, 0, 2))
         return np.stack(states, 1)
 
-    def _forces(self, model: mujoco.MjModel, forces: Sequence[ForceEffect], state: np.ndarray) -> np.ndarray:
-        joint, body = np.zeros((len(state), model.nv)), np.zeros((len(state), model.nbody, 6))
-        qpos, qvel = state[:, 1 : 1 + model.nq], state[:, 1 + model.nq : 1 + model.nq + model.nv]
-        for effect in forces:
-            if isinstance(effect, ExternalForce):
-                body[:, model.body(effect.target).id, :3] += effect.force(qpos, qvel, state[:, 0])
-                continue
-            joints = self._joints(model, effect.target)
-            q, v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-            joint[:, v] += effect.force(qpos[:, q], qvel[:, v], state[:, 0])
-        return np.concatenate([joint, body.reshape(len(state), -1)], 1)
+    def _applied(self, model: mujoco.MjModel, effects: Effects) -> AppliedForces:
+        """Force laws of the library."""
+        return AppliedForces(model, effects, lambda target: self._joints(model, target))
 
 
 def acts_outside_model(effect: Effect) -> bool:

@@ -45,10 +45,15 @@ def context(loss):
     """A search in which ``loss(names)`` is what effects on these (kind, target) leave; fits keep where they start."""
     rng = np.random.default_rng(0)
     noise = 0.001 * rng.normal(size=N)
+
+    def fit(split, fixed, candidates, x, iterations, slopes=None, good_enough=np.inf):
+        left = loss({(c.kind.name, c.target) for c in candidates}) > good_enough
+        return SimpleNamespace(x=tuple(x), solution=SimpleNamespace(given_up=left))
+
     return SimpleNamespace(
         settings=SearchSettings(numerics=False), numerics_declared=False, progress=lambda what, done: None,
         loss=lambda split, effects: loss({(e.name, e.target) for e in effects}) + noise,
-        fit=lambda split, fixed, candidates, x, iterations, slopes=None: SimpleNamespace(x=tuple(x)),
+        fit=fit,
         whitened=lambda split, effects: np.zeros((N, 1)),
     )  # fmt: skip
 
@@ -71,6 +76,16 @@ def test_what_helps_stays():
 
 def test_the_last_effect_stays_even_if_it_does_nothing():
     assert names(eliminate_needless(context(lambda found: 1.0), accepted(A, B))) == ["joint_damping(b)"]
+
+
+def test_a_fit_that_was_left_too_early_is_finished_before_an_effect_goes(monkeypatch):
+    """Left early it says that nothing is lost on held-out windows; fitted to the end it says the same."""
+    finished = []
+    monkeypatch.setattr(revision, "refit_accepted", lambda context, state: finished.append(names(state)) or state)
+    search = context(lambda found: 1.0)
+    search.fit = lambda *a, **k: SimpleNamespace(x=tuple(a[3]), solution=SimpleNamespace(given_up=True))
+    assert names(eliminate_needless(search, accepted(A, B))) == ["joint_damping(b)"]
+    assert finished == [["joint_damping(b)"]]
 
 
 def test_a_rival_takes_the_place_and_the_others_keep_theirs():

@@ -120,6 +120,21 @@ def test_known_slopes_are_not_measured_and_wrong_ones_do_no_harm(residual):
     assert simulated[1] <= simulated[0] - 2
 
 
+def test_a_fit_that_will_not_be_good_enough_is_left_and_another_is_not(residual):
+    least = gauss_newton(residual, START, FREE, iterations=40).loss
+    wrapped, calls = counted(residual)
+    left = gauss_newton(wrapped, START, FREE, iterations=40, good_enough=0.5 * least)
+    assert left.given_up and left.loss > 0.5 * least and len(calls) < 40
+    kept = gauss_newton(residual, START, FREE, iterations=40, good_enough=1.01 * least)
+    assert not kept.given_up and kept.loss == pytest.approx(least, rel=1e-3)
+
+
+def test_a_hopeless_fit_is_left_before_its_first_step():
+    wrapped, calls = counted(lambda x: np.full((4, 5), 9.0) + 0.01 * x[0])
+    fit = gauss_newton(wrapped, np.zeros(1), ParameterBox(np.ones(1), np.full(1, -9.0), np.full(1, 9.0)), good_enough=1)
+    assert fit.given_up and len(calls) == 2, "where it starts, and one slope"
+
+
 def test_a_step_corrects_slopes_along_itself_alone():
     rng = np.random.default_rng(0)
     J, step, change = rng.normal(size=(7, 3)), rng.normal(size=3), rng.normal(size=7)

@@ -49,6 +49,7 @@ def fit_candidates(
     iterations: int,
     exact: bool = False,
     slopes: np.ndarray | None = None,
+    good_enough: float = np.inf,
 ) -> CandidateFit:
     """Fit the parameters of candidates.
 
@@ -60,11 +61,12 @@ def fit_candidates(
         iterations: of Gauss-Newton, at most.
         exact: measure the slopes where the fit ends, for its covariance.
         slopes: by the parameters of the first candidates, where they are known about: (n rows, q).
+        good_enough: mean loss that is asked for; a fit that would not come there is left.
     """
 
     def at(v: np.ndarray) -> np.ndarray:
         return residual((*fixed, *effects_of(candidates, split_parameters(candidates, v))))
 
     start = np.concatenate([np.asarray(v, float) for v in x])
-    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes)
+    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes, good_enough)
     return CandidateFit(tuple(split_parameters(candidates, fit.x)), fit)

@@ -11,7 +11,13 @@ import numpy as np
 from idapt_pl.diagnosis.candidates.fit import effects_of
 from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS, PARSIMONY, rough_fits
-from idapt_pl.diagnosis.rounds.gates import CLEAR_GAIN, beyond_its_kind, too_small_a_change, why_implausible
+from idapt_pl.diagnosis.rounds.gates import (
+    AT_THE_FLOOR,
+    CLEAR_GAIN,
+    beyond_its_kind,
+    too_small_a_change,
+    why_implausible,
+)
 from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.replay import worse_replays
@@ -21,6 +27,7 @@ from idapt_pl.diagnosis.state.search_state import (
     AcceptedEffect,
     SearchState,
     refit_accepted,
+    refit_without,
     renew,
     slopes_of_accepted,
 )
@@ -36,6 +43,10 @@ SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
 PLACES_SCREENED = 4
 """So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
+FAR_WORSE = 1.5
+"""Times the fitted loss with an effect that is surely left without it: it is not needless."""
+AS_GOOD_AS = 1.1
+"""Times the same that a rival in its place must be able to come to."""
 IN_SIGHT = 1.5
 """Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
 MANY_PARAMETERS = 3
@@ -88,22 +99,20 @@ def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[T
 def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Sequence[Trial]) -> SearchState:
     """The state with a rival in the place of an effect, or the same where none is clearly better."""
     old = state.accepted[place]
-    rest = state.without(old)
     now = context.loss(state.windows.held_out, state.effects)
     best: Candidate | None = None
     best_x: tuple[np.ndarray, ...] = ()
     best_loss = float(now.mean())
-    slopes = slopes_of_accepted(context, rest, state.windows.fit) if rivals else None
     for t in rivals:
-        candidates = [*rest.candidates, t.candidate]
-        x = context.fit(state.windows.fit, state.fixed, candidates, [*rest.estimates, t.x[-1]], 5, slopes=slopes).x
+        simpler = old.candidate.size - t.candidate.size >= 2  # and then as good is good enough
+        x = fit_in_place(context, state, old, t) if simpler or now.mean() > AT_THE_FLOOR else None
+        if x is None or beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
+            continue
+        candidates = [*state.without(old).candidates, t.candidate]
         after = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
-        if beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
-            continue
         dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
         loss = float(after.mean()) + rarity(t.candidate) * max(gain, 0.0) + dearer
-        simpler = old.candidate.size - t.candidate.size >= 2  # and then as good is good enough
         asked = -0.02 * float(now.mean()) if simpler else max(error, 0.03 * float(now.mean()))
         if gain > asked and loss < (best_loss if best is not None or not simpler else np.inf):
             best, best_loss, best_x = t.candidate, loss, x
@@ -112,6 +121,22 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     log.info("%s in place of %s: %.3g", best.label, old.candidate.label, best_loss)
     state = with_rival(state, old, best, best_x)
     return retest_numerics(context, refit_accepted(context, renew(context, state)))
+
+
+def fit_in_place(
+    context: SearchContext, state: SearchState, old: AcceptedEffect, t: Trial
+) -> tuple[np.ndarray, ...] | None:
+    """Fit a rival in the place of an effect, all others free; None where it would leave more than that does.
+
+    Returns:
+        Parameters of the others in their order, then its own.
+    """
+    rest, split = state.without(old), state.windows.fit
+    slopes = slopes_of_accepted(context, rest, split)
+    start, most = [*rest.estimates, t.x[-1]], AS_GOOD_AS * fitted_loss(context, state)
+    candidates = [*rest.candidates, t.candidate]
+    fit = context.fit(split, state.fixed, candidates, start, 5, slopes=slopes, good_enough=most)
+    return None if fit.solution.given_up else fit.x
 
 
 def with_rival(state: SearchState, old: AcceptedEffect, new: Candidate, x: Sequence[np.ndarray]) -> SearchState:
@@ -133,21 +158,36 @@ def eliminate_needless(context: SearchContext, state: SearchState) -> SearchStat
 
 def without_if_needless(context: SearchContext, state: SearchState, effect: AcceptedEffect) -> SearchState | None:
     """The state without an effect, the others refitted, where they do as well alone."""
+    enough = FAR_WORSE * fitted_loss(context, state)
+    rest, left = refit_without(context, state, effect, enough)
+    if left and does_without(context, state, rest, effect):  # the fit was left too early to tell
+        rest, left = refit_accepted(context, rest), False
+    if left or not does_without(context, state, rest, effect):
+        return None
+    log.info(
+        "pruned %s: %.3g with it, %.3g without", effect.candidate.label, level(context, state), level(context, rest)
+    )
+    return rest
+
+
+def fitted_loss(context: SearchContext, state: SearchState) -> float:
+    """Mean loss on the windows that effects are fitted to."""
+    return float(context.loss(state.windows.fit, state.effects).mean())
+
+
+def does_without(context: SearchContext, state: SearchState, rest: SearchState, effect: AcceptedEffect) -> bool:
+    """Whether a model does as well without one of its effects, the others refitted (``rest``)."""
     s, held_out = context.settings, state.windows.held_out
-    rest = refit_accepted(context, state.without(effect))
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
     by_forces = judges_forces(held_out)  # few instants tell of forces, replays nothing, and all joints have friction
     share = s.relative_gain / (context.sim.model.nv if by_forces else 1)
-    needless = gain < max(share * float(without.mean()), 0.0 if by_forces else s.sureness * error)
-    slight = effect is not state.accepted[0] and too_small_a_change(
-        effect.candidate, effect.x, gain, float(without.mean())
-    )
+    if gain < max(share * float(without.mean()), 0.0 if by_forces else s.sureness * error):
+        return True
+    if effect is not state.accepted[0] and too_small_a_change(effect.candidate, effect.x, gain, float(without.mean())):
+        return True
     doubtful = s.plausible and not by_forces and gain < CLEAR_GAIN * float(without.mean())
-    if not (needless or slight or (doubtful and worse_replays(context, state, rest))):
-        return None
-    log.info("pruned %s: without it %.3g, with it %.3g", effect.candidate.label, without.mean(), with_it.mean())
-    return rest
+    return doubtful and worse_replays(context, state, rest)
 
 
 def one_gain_for_many(context: SearchContext, state: SearchState) -> SearchState:

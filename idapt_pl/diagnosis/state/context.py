@@ -87,9 +87,14 @@ class SearchContext:
         iterations: int,
         exact: bool = False,
         slopes: np.ndarray | None = None,
+        good_enough: float = np.inf,
     ) -> CandidateFit:
         """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidates.fit.fit_candidates`."""
-        return fit_candidates(lambda e: self.whitened(split, e), fixed, candidates, x, iterations, exact, slopes)
+
+        def residual(effects: Effects) -> np.ndarray:
+            return self.whitened(split, effects)
+
+        return fit_candidates(residual, fixed, candidates, x, iterations, exact, slopes, good_enough)
 
     @property
     def numerics_declared(self) -> bool:

@@ -119,3 +119,23 @@ def refit_accepted(context: SearchContext, state: SearchState, iterations: int =
         return state
     fit = context.fit(state.windows.fit, state.fixed, state.candidates, state.estimates, iterations)
     return state.with_estimates(fit.x)
+
+
+def refit_without(
+    context: SearchContext, state: SearchState, effect: AcceptedEffect, good_enough: float
+) -> tuple[SearchState, bool]:
+    """Leave out an effect and fit the others, with the slopes that they have beside it.
+
+    Returns:
+        The state without it, and whether the fit was left, as it would not have come to a mean loss of
+        ``good_enough``.
+    """
+    split, rest = state.windows.fit, state.without(effect)
+    if not rest.accepted:
+        return rest, False
+    own = np.repeat([a is effect for a in state.accepted], [a.candidate.size for a in state.accepted])
+    slopes = slopes_of_accepted(context, state, split)[:, ~own]
+    fit = context.fit(
+        split, rest.fixed, rest.candidates, rest.estimates, 6, slopes=slopes, good_enough=good_enough
+    )  # fmt: skip
+    return rest.with_estimates(fit.x), fit.solution.given_up
