@@ -132,6 +132,7 @@ def gauss_newton(
     exact: bool = False,
     slopes: np.ndarray | None = None,
     good_enough: float = np.inf,
+    cheaper: Residual | None = None,
 ) -> LeastSquaresFit:
     """Minimise Huber's loss: iteratively re-weighted Levenberg-Marquardt inside bounds, with numeric derivatives.
 
@@ -146,14 +147,15 @@ def gauss_newton(
         exact: measure the slopes once more where the fit ends. Else they are what the steps made of them.
         slopes: by the first parameters, known from elsewhere, (n rows, q): only the others' are measured at first.
         good_enough: loss that is asked for. A fit that would not come there, by far, is left.
+        cheaper: about the same residuals, with which slopes are measured as long as these lead anywhere.
     """
     now, damping = _Point.at(residual, box.clip(x)), 1e-3
-    J, fresh = jacobian(residual, now.x, now.z, box, slopes), slopes is None or not slopes.size
+    J, fresh = _slopes(residual, now, box, cheaper, slopes), slopes is None or not slopes.size
     for k in range(iterations):
         if (
-            _hopeless(now, J, box, good_enough) and not fresh and k
+            k and not fresh and _hopeless(now, J, box, good_enough)
         ):  # steps that correct slopes leave some of them wrong
-            J, fresh = jacobian(residual, now.x, now.z, box), True
+            J, fresh = _slopes(residual, now, box, cheaper), True
         if _hopeless(now, J, box, good_enough):
             return LeastSquaresFit(now.x, now.loss, J, now.z, given_up=True)
         better, damping = _damped_step(residual, now, J, box, damping, tries=4 if fresh else 1)
@@ -164,15 +166,25 @@ def gauss_newton(
             gain = (now.loss - better.loss) / now.loss
             J = broyden(J, (better.x - now.x) / box.scale, (better.z - now.z).ravel())
             now, damping = better, damping / 5
-        if gain < CONVERGED and fresh:
+        if gain < CONVERGED and fresh and (better is not None or cheaper is None):
             fresh = better is None
             break
+        cheaper = None if fresh and better is None else cheaper  # its slopes lead nowhere
         fresh = (gain < FADING or kept < KEPT_PROMISE) and k + 1 < iterations
         if fresh:
-            J = jacobian(residual, now.x, now.z, box)
+            J = _slopes(residual, now, box, cheaper)
     if exact and not fresh:
         J = jacobian(residual, now.x, now.z, box)
     return LeastSquaresFit(now.x, now.loss, J, now.z)
+
+
+def _slopes(
+    residual: Residual, now: _Point, box: ParameterBox, cheaper: Residual | None, known: np.ndarray | None = None
+) -> np.ndarray:
+    """Slopes at a point, (n rows, p), by the cheaper residuals where there are such."""
+    if cheaper is None:
+        return jacobian(residual, now.x, now.z, box, known)
+    return jacobian(cheaper, now.x, cheaper(now.x), box, known)
 
 
 def _hopeless(now: _Point, J: np.ndarray, box: ParameterBox, good_enough: float) -> bool:

@@ -54,7 +54,7 @@ def context(loss):
         settings=SearchSettings(numerics=False), numerics_declared=False, progress=lambda what, done: None,
         loss=lambda split, effects: loss({(e.name, e.target) for e in effects}) + noise,
         fit=fit,
-        whitened=lambda split, effects: np.zeros((N, 1)),
+        whitened=lambda split, effects: np.zeros((N, 1)), with_coarse_numerics=lambda effects: effects,
     )  # fmt: skip
 
 

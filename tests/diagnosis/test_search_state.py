@@ -1,6 +1,6 @@
 """A search takes and returns its state; fits of candidates split parameters as they should."""
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 
 import mujoco
 import numpy as np
@@ -10,11 +10,12 @@ from arm import ARM, record
 from idapt_pl.diagnosis.candidates.fit import fit_candidates, split_parameters
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import one_round
-from idapt_pl.diagnosis.state.search_state import refit_accepted, renew
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, refit_accepted, refit_without, renew
 from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.world import Numerics
 
 DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
 CENTRE = Candidate(BodyCom, "upper", ("x", "y", "z"), (0.0,) * 3, (0.1,) * 3)
@@ -47,6 +48,28 @@ def test_windows_are_whitened_anew_and_kept_while_the_kind_of_model_is_the_same(
     refitted = renew(context, refit_accepted(context, renewed))
     assert refitted.windows.sensitivity is renewed.windows.sensitivity, "another value, the same"
     assert refitted.estimates[0] != found.estimates[0]
+
+
+def test_what_is_left_about_is_exact_where_it_is_anchored_and_for_a_model_without_finer_steps(started):
+    context, state = started
+    split, fine = state.windows.scout, Numerics("world", context.sim.model.opt.timestep / 4)
+    damping = DAMPING.effect(np.array([0.05]))
+    np.testing.assert_array_equal(context.about(split, ())((damping,)), context.whitened(split, (damping,)))
+    anchored, exact = context.about(split, (fine,)), context.whitened(split, (fine, damping))
+    np.testing.assert_allclose(anchored((fine,)), context.whitened(split, (fine,)), atol=1e-9)
+    moved = np.abs(exact - context.whitened(split, (fine,))).max()
+    assert 0 < np.abs(anchored((fine, damping)) - exact).max() < 0.1 * moved
+
+
+def test_the_fit_without_an_effect_is_that_of_the_others_or_is_left(started):
+    context, state = started
+    found = refit_accepted(context, one_round(context, state, 0)[0])
+    one, other = found.accepted[0], AcceptedEffect(7, CENTRE, np.zeros(3))
+    both = replace(found, accepted=(one, other))
+    rest, left = refit_without(context, both, other, good_enough=np.inf)
+    assert not left and rest.estimates[0] == pytest.approx(found.estimates[0], rel=1e-3)
+    rest, left = refit_without(context, both, one, good_enough=1.0)
+    assert left and rest.candidates == [CENTRE], "no centre of mass explains what damping does"
 
 
 def test_states_cannot_be_changed(started):

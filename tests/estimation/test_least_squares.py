@@ -135,6 +135,19 @@ def test_a_hopeless_fit_is_left_before_its_first_step():
     assert fit.given_up and len(calls) == 2, "where it starts, and one slope"
 
 
+def test_slopes_of_about_the_same_residuals_lead_to_the_same_minimum_for_fewer_of_the_right_ones(residual):
+    (exact, calls), (about, cheap) = counted(residual), counted(lambda x: residual(x) + 3 * np.sin(x[0]))
+    fit = gauss_newton(exact, START, FREE, iterations=40, cheaper=about)
+    alone, calls_alone = counted(residual)
+    assert fit.loss == pytest.approx(gauss_newton(alone, START, FREE, iterations=40).loss, rel=1e-3)
+    assert cheap and len(calls) < len(calls_alone)
+
+
+def test_slopes_that_lead_nowhere_are_given_up(residual):
+    fit = gauss_newton(residual, START, FREE, iterations=40, cheaper=lambda x: -residual(x))
+    assert fit.loss == pytest.approx(gauss_newton(residual, START, FREE, iterations=40).loss, rel=1e-3)
+
+
 def test_a_step_corrects_slopes_along_itself_alone():
     rng = np.random.default_rng(0)
     J, step, change = rng.normal(size=(7, 3)), rng.normal(size=3), rng.normal(size=7)

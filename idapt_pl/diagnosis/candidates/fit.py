@@ -11,6 +11,9 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.least_squares import LeastSquaresFit, ParameterBox, gauss_newton
 from idapt_pl.prediction.simulator import Effects
 
+WhitenedResidual = Callable[[Effects], np.ndarray]
+"""Effects to whitened residuals, (n, rows)."""
+
 
 @dataclass(frozen=True)
 class CandidateFit:
@@ -42,7 +45,7 @@ def parameter_box(candidates: Sequence[Candidate]) -> ParameterBox:
 
 
 def fit_candidates(
-    residual: Callable[[Effects], np.ndarray],
+    residual: WhitenedResidual,
     fixed: Effects,
     candidates: Sequence[Candidate],
     x: Sequence[np.ndarray],
@@ -50,6 +53,7 @@ def fit_candidates(
     exact: bool = False,
     slopes: np.ndarray | None = None,
     good_enough: float = np.inf,
+    cheaper: WhitenedResidual | None = None,
 ) -> CandidateFit:
     """Fit the parameters of candidates.
 
@@ -62,11 +66,13 @@ def fit_candidates(
         exact: measure the slopes where the fit ends, for its covariance.
         slopes: by the parameters of the first candidates, where they are known about: (n rows, q).
         good_enough: mean loss that is asked for; a fit that would not come there is left.
+        cheaper: about the same residuals, to measure slopes with.
     """
 
-    def at(v: np.ndarray) -> np.ndarray:
-        return residual((*fixed, *effects_of(candidates, split_parameters(candidates, v))))
+    def with_parameters(of: WhitenedResidual) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda v: of((*fixed, *effects_of(candidates, split_parameters(candidates, v))))
 
+    at, about = with_parameters(residual), None if cheaper is None else with_parameters(cheaper)
     start = np.concatenate([np.asarray(v, float) for v in x])
-    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes, good_enough)
+    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes, good_enough, about)
     return CandidateFit(tuple(split_parameters(candidates, fit.x)), fit)

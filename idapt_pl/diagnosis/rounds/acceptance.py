@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from idapt_pl.diagnosis.candidates.fit import effects_of
+from idapt_pl.diagnosis.candidates.fit import WhitenedResidual, effects_of, fit_candidates
 from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
 from idapt_pl.diagnosis.rounds.gates import Judged, objection
 from idapt_pl.diagnosis.state.context import SearchContext
@@ -22,6 +22,8 @@ STEPS, FIRST_STEPS = 5, 2
 """Of a fit with a candidate, and of these before those far behind are left."""
 IN_THE_RACE = 0.7
 """Share of the way from the best candidate's loss to that without any, beyond which one is far behind."""
+BEHIND = 1.5
+"""Times the loss of the best candidate so far that another must be able to come to, to be fitted to the end."""
 FAR_LOSS = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
 PARSIMONY = 0.15
@@ -41,12 +43,15 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     first = (
         float(context.loss(state.windows.held_out, context.declared).mean()) if state.accepted else float(now.mean())
     )
-    confirmed, refined = [], 0
+    confirmed, refined, good_enough = [], 0, np.inf
     for t in rough:
         best = rough[0].rough_loss
         if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            confirmed.append(refine(context, state, t, slopes, now, first))
+            t, left = refine(context, state, t, slopes, now, first, good_enough)
+            confirmed.append(t)
             refined += 1
+            if t.rejection is None:
+                good_enough = min(good_enough, BEHIND * left)
         else:
             text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
             confirmed.append(t.rejected(RejectionReason.POOR_FIT, text))
@@ -60,28 +65,34 @@ def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Tria
     """
     slopes = slopes_of_accepted(context, state, state.windows.scout)
     without = float(context.loss(state.windows.scout, state.effects).mean())
-    begun = []
+    residual, begun = context.about(state.windows.scout, state.effects), []
     for t in chosen:
         start = replace(t, x=(*state.estimates, t.x[-1]))
-        begun.append(rough_fit(context, state, start, FIRST_STEPS, slopes))
+        begun.append(rough_fit(residual, state, start, FIRST_STEPS, slopes))
     best = min((t.rough_loss for t, _ in begun), default=without)
     near = best + IN_THE_RACE * max(without - best, 0.0)
-    done = [rough_fit(context, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t for t, J in begun]
+    done = [rough_fit(residual, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t for t, J in begun]
     return sorted(done, key=lambda t: t.rough_loss)
 
 
 def rough_fit(
-    context: SearchContext, state: SearchState, t: Trial, steps: int, slopes: np.ndarray
+    residual: WhitenedResidual, state: SearchState, t: Trial, steps: int, slopes: np.ndarray
 ) -> tuple[Trial, np.ndarray]:
     """Some steps from where a trial is; ``slopes`` by the first parameters. With the slopes by all where it ended."""
     candidates = [*state.candidates, t.candidate]
-    fit = context.fit(state.windows.scout, state.fixed, candidates, t.x, steps, slopes=slopes)
+    fit = fit_candidates(residual, state.fixed, candidates, t.x, steps, slopes=slopes)
     return replace(t, x=fit.x, rough_loss=fit.solution.loss), fit.solution.J
 
 
 def refine(
-    context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray, now: np.ndarray, first: float
-) -> Trial:
+    context: SearchContext,
+    state: SearchState,
+    t: Trial,
+    slopes: np.ndarray,
+    now: np.ndarray,
+    first: float,
+    good_enough: float,
+) -> tuple[Trial, float]:
     """Refit a candidate, with all accepted effects free, and judge it.
 
     Args:
@@ -91,14 +102,19 @@ def refine(
         slopes: by what was accepted, (n rows, p).
         now: held-out losses without it, (n,).
         first: mean held-out loss of the model as it was given.
+        good_enough: loss that a fit must be able to come to, or it is judged as it stands.
+
+    Returns:
+        The candidate, judged, and what it leaves on the windows that it was fitted to.
     """
-    candidates = [*state.candidates, t.candidate]
-    x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
+    candidates, split = [*state.candidates, t.candidate], state.windows.screen
+    fit = context.fit(split, state.fixed, candidates, t.x, STEPS, slopes=slopes, good_enough=good_enough)
+    x = fit.x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
     judged = Judged(context.settings, context.sim.velocities, t, now, first, further=bool(state.accepted))
-    return replace(t, rejection=objection(judged))
+    return replace(t, rejection=objection(judged)), fit.solution.loss
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:

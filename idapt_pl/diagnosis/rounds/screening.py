@@ -51,7 +51,8 @@ def screen_candidates(
         as_seen_before: for the first look take what candidates change under whatever model that was simulated.
     """
     step = first_look_step(context, state)
-    scout = ScoreTest(context, state, state.windows.scout, step, as_seen_before)
+    kept = context.responses
+    scout = ScoreTest(context, state, state.windows.scout, step, kept, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
     silent = NO_SAY if judges_forces(state.windows.scout) else ()
     considered = [
@@ -65,7 +66,8 @@ def screen_candidates(
     trials = simulate_the_best(context, state, considered, simulate) if many else [*map(simulate, considered)]
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
-    screen = ScoreTest(context, state, state.windows.screen)
+    own_step = float(context.sim.model.opt.timestep)
+    screen = ScoreTest(context, state, state.windows.screen, own_step)
     best = [screen.score(t.candidate, t.x, round) for t in best]
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
     rest = [replace(t, score=t.score * ratio) for t in rest]
@@ -134,21 +136,22 @@ class ScoreTest:
         context: of the search.
         state: the current model.
         split: windows to score on.
-        step: time step of a first look, which takes what candidates change as it was last simulated, if it was.
-        any_model: and if that was under whatever model.
+        step: longest time step with which to simulate what candidates change; default is the model's, as found.
+        kept: responses of earlier looks, that count where the model has moved little since.
+        any_model: or if that was under whatever model.
         respond: what an effect changes in whitened residuals, (n, rows); default is to simulate it.
     """
 
     def __init__(
         self, context: SearchContext, state: SearchState, split: WhitenedWindows, step: float | None = None,
-        any_model: bool = False, respond: Callable[[Effect], np.ndarray] | None = None,
+        kept: Responses | None = None, any_model: bool = False, respond: Callable[[Effect], np.ndarray] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self.state, self.split, self.respond = context.settings, state, split, respond
         self.residual: Callable[[Effects], np.ndarray] = lambda e: split.unwhitened(
             context.sim, context.with_coarse_numerics(e, step) if step else e
         )
         z, self.base = context.whitened(split, state.effects), self.residual(state.effects)
-        self.responses = (context.responses if step else Responses()).under(split, self.base, any_model)
+        self.responses = (kept or Responses()).under(split, self.base, any_model)
         self.root = np.sqrt(huber_weights(z.ravel()))[:, None]
         accepted = [self.derivative(a.candidate, a.x, k) for k, a in enumerate(state.accepted)]
         D = np.concatenate(accepted, 1) * self.root if accepted else np.zeros((z.size, 0))

@@ -89,12 +89,34 @@ class SearchContext:
         slopes: np.ndarray | None = None,
         good_enough: float = np.inf,
     ) -> CandidateFit:
-        """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidates.fit.fit_candidates`."""
+        """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidates.fit.fit_candidates`.
+
+        Where time steps finer than the model's own were found, slopes are measured with its own, unless they have to
+        be ``exact``.
+        """
 
         def residual(effects: Effects) -> np.ndarray:
             return self.whitened(split, effects)
 
-        return fit_candidates(residual, fixed, candidates, x, iterations, exact, slopes, good_enough)
+        def coarse(effects: Effects) -> np.ndarray:
+            return self.whitened(split, self.with_coarse_numerics(effects))
+
+        cheaper = coarse if self.has_finer_numerics(fixed) and not exact else None
+        return fit_candidates(residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper)
+
+    def about(self, split: WhitenedWindows, effects: Effects) -> Callable[[Effects], np.ndarray]:
+        """What other effects leave, whitened, about: where finer time steps were found than the model's own.
+
+        Then what they change is simulated with its own, and what ``effects`` leave with the finer ones.
+        """
+        if not self.has_finer_numerics(effects):
+            return lambda e: self.whitened(split, e)
+        now, coarse = (self.whitened(split, e) for e in (effects, self.with_coarse_numerics(effects)))
+        return lambda e: now + self.whitened(split, self.with_coarse_numerics(e)) - coarse
+
+    def has_finer_numerics(self, effects: Effects) -> bool:
+        """Whether effects have time steps so much finer than the model's own that these are worth while."""
+        return self.with_coarse_numerics(effects) is not effects
 
     @property
     def numerics_declared(self) -> bool:

@@ -101,16 +101,20 @@ def renew(context: SearchContext, state: SearchState) -> SearchState:
 
 
 def slopes_of_accepted(context: SearchContext, state: SearchState, split: WhitenedWindows) -> np.ndarray:
-    """How residuals depend on the parameters of what was accepted, (n rows, p), for fits with one candidate more."""
-    base = context.whitened(split, state.effects)
+    """How residuals depend on the parameters of what was accepted, (n rows, p), for fits with one candidate more.
+
+    Measured with the model's own time step where a finer one was found.
+    """
     if not state.accepted:
-        return np.zeros((base.size, 0))
+        return np.zeros((context.whitened(split, state.effects).size, 0))
 
     def at(x: np.ndarray) -> np.ndarray:
         parts = split_parameters(state.candidates, x)
-        return context.whitened(split, (*state.fixed, *effects_of(state.candidates, parts)))
+        effects = (*state.fixed, *effects_of(state.candidates, parts))
+        return context.whitened(split, context.with_coarse_numerics(effects))
 
-    return jacobian(at, np.concatenate(state.estimates), base, parameter_box(state.candidates))
+    x = np.concatenate(state.estimates)
+    return jacobian(at, x, at(x), parameter_box(state.candidates))
 
 
 def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 6) -> SearchState:
