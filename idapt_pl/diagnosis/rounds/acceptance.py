@@ -22,8 +22,6 @@ STEPS, FIRST_STEPS = 5, 2
 """Of a fit with a candidate, and of these before those far behind are left."""
 IN_THE_RACE = 0.7
 """Share of the way from the best candidate's loss to that without any, beyond which one is far behind."""
-BEHIND = 1.5
-"""Times the loss of the best candidate so far that another must be able to come to, to be fitted to the end."""
 FAR_LOSS = 10.0
 """Held-out loss above which the best single effect is surely not all that is missing."""
 PARSIMONY = 0.15
@@ -43,15 +41,12 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     first = (
         float(context.loss(state.windows.held_out, context.declared).mean()) if state.accepted else float(now.mean())
     )
-    confirmed, refined, good_enough = [], 0, np.inf
+    confirmed, refined = [], 0
     for t in rough:
         best = rough[0].rough_loss
         if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            t, left = refine(context, state, t, slopes, now, first, good_enough)
-            confirmed.append(t)
+            confirmed.append(refine(context, state, t, slopes, now, first))
             refined += 1
-            if t.rejection is None:
-                good_enough = min(good_enough, BEHIND * left)
         else:
             text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
             confirmed.append(t.rejected(RejectionReason.POOR_FIT, text))
@@ -85,14 +80,8 @@ def rough_fit(
 
 
 def refine(
-    context: SearchContext,
-    state: SearchState,
-    t: Trial,
-    slopes: np.ndarray,
-    now: np.ndarray,
-    first: float,
-    good_enough: float,
-) -> tuple[Trial, float]:
+    context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray, now: np.ndarray, first: float
+) -> Trial:
     """Refit a candidate, with all accepted effects free, and judge it.
 
     Args:
@@ -102,19 +91,14 @@ def refine(
         slopes: by what was accepted, (n rows, p).
         now: held-out losses without it, (n,).
         first: mean held-out loss of the model as it was given.
-        good_enough: loss that a fit must be able to come to, or it is judged as it stands.
-
-    Returns:
-        The candidate, judged, and what it leaves on the windows that it was fitted to.
     """
-    candidates, split = [*state.candidates, t.candidate], state.windows.screen
-    fit = context.fit(split, state.fixed, candidates, t.x, STEPS, slopes=slopes, good_enough=good_enough)
-    x = fit.x
+    candidates = [*state.candidates, t.candidate]
+    x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
     judged = Judged(context.settings, context.sim.velocities, t, now, first, further=bool(state.accepted))
-    return replace(t, rejection=objection(judged)), fit.solution.loss
+    return replace(t, rejection=objection(judged))
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
