@@ -2,7 +2,7 @@
 
     python benchmarks/search_cost.py --models dc_arm servo_arm --counts 3 --seeds 61
     python benchmarks/search_cost.py --rigs FOLDER so101       # real machines, as benchmarks/hardware.py
-    python benchmarks/search_cost.py --summary                    # one row a case: earliest version and latest
+    python benchmarks/tables.py cost                              # one row a case: earliest version and latest
 
 Cases as in benchmarks/gates.py. Rows of earlier versions stay: run this file from a checkout of one to add them
 (``--out``). ``steps_m`` are millions of time steps of single windows, the same on every machine; ``cpu_s`` is the
@@ -15,7 +15,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -92,19 +92,6 @@ def of_rig(folder: Path, name: str) -> dict:
     return {"model": name, **measured(read_model(folder / rig.folder / rig.model), read_trajectories(data), **options)}
 
 
-def summarise(rows: Sequence[dict]) -> str:
-    """A Markdown table: cases with rows of at least two versions, in the order in which they were added."""
-    lines = ["| model | hidden effects | seed | million steps | CPU seconds | found |", "|" + "---|" * 6]
-    for case in dict.fromkeys((r["model"], r["hidden"], r["seed"]) for r in rows):
-        first, *_, last = [r for r in rows if (r["model"], r["hidden"], r["seed"]) == case] * 2
-        if first["commit"] == last["commit"]:
-            continue
-        steps, seconds = (f"{first[k]} to {last[k]}" for k in ("steps_m", "cpu_s"))
-        same = "the same" if first["found"] == last["found"] else f"{first['found']}; now {last['found']}"
-        lines.append(f"| {' | '.join(case)} | {steps} | {seconds} | {same} |")
-    return "\n".join(lines)
-
-
 def main() -> None:
     """Run the cases that this version has no row of, and write the table."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -113,12 +100,8 @@ def main() -> None:
     p.add_argument("--seeds", nargs="+", type=int, default=[61])
     p.add_argument("--rigs", nargs="+", default=[], metavar="", help="the recordings' folder, then names of rigs")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "search_cost.csv")
-    p.add_argument("--summary", action="store_true", help="print a table of the rows there are, and run nothing")
     args = p.parse_args()
     rows, commit = read_rows(args.out), git_commit()
-    if args.summary:
-        print(summarise(rows))
-        return
     cases = [(of_case, case) for case in itertools.product(args.models, args.counts, args.seeds)]
     cases += [(of_rig, (Path(args.rigs[0]), name)) for name in args.rigs[1:]]
     there = {tuple(r[k] for k in CASE) for r in rows}

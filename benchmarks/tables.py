@@ -4,6 +4,7 @@
     python benchmarks/tables.py easy      # the same of the easy targets; quick: of the quick configs
     python benchmarks/tables.py cheetah   # every run of HalfCheetah, version by version; likewise the other tasks
     python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
+    python benchmarks/tables.py cost      # what diagnoses simulate
 
 ``python benchmarks/figures.py`` writes them into the pages. The benchmarks import what reads and writes the CSV files.
 """
@@ -196,11 +197,27 @@ def every_run(results: Path = RESULTS, name: str = "cheetah") -> str:
     return markdown(("table", "run", "seeds", "direct transfer", "step 0", "last step", "commits", "CPU"), lines)
 
 
+def search_cost(results: Path = RESULTS) -> str:
+    """What diagnoses simulate, of the earliest version and the latest: cases that have rows of two."""
+    rows, lines = read_rows(results / "search_cost.csv"), []
+    for case in dict.fromkeys((r["model"], r["hidden"], r["seed"]) for r in rows):
+        of = [r for r in rows if (r["model"], r["hidden"], r["seed"]) == case]
+        first, last = of[0], of[-1]
+        if first is last:
+            continue
+        changed = [f"{first[k]} to {last[k]}" for k in ("steps_m", "cpu_s")]
+        found = "the same" if first["found"] == last["found"] else f"{first['found']}; now {last['found']}"
+        lines.append((*case, *changed, f"{float(first['loss']):.3f} to {float(last['loss']):.3f}", found))
+    titles = ("recordings of", "hidden effects", "seed", "million time steps", "CPU seconds", "error left", "found")
+    return markdown(titles, lines)
+
+
 TABLES: Mapping[str, Callable[[Path], str]] = {
     "hard": summary,
     "easy": functools.partial(summary, size="easy"),
     "quick": functools.partial(summary, size="quick"),
     "kept": kept,
+    "cost": search_cost,
     **{name: functools.partial(every_run, name=name) for _, name, _ in SHOWN},
 }
 """Tables of the pages, by the names that ``benchmarks/figures.py`` finds there."""
