@@ -76,7 +76,7 @@ class SeparationCriterion:
         seen = self.forecast(first, commands)
         windows, sim = self.windows(seen, commands), self.forecast.sim.replaying(seen.recordings(commands))
         at = initial_sensitivity(sim, first, windows, self.noise.start)
-        W = whitener(at, self.noise, sim.compared)
+        W = whitener(at, self.noise, sim.compared, windows.offsets)
         compared = np.flatnonzero(W.any((0, 1)))
         covariance = np.linalg.inv(np.einsum("nab,nac->nbc", W[:, :, compared], W[:, :, compared]))
         usual = np.median(covariance, 0)
@@ -136,7 +136,7 @@ class SeparationCriterion:
         seen = self.forecast(right.effects, commands)
         sim, windows = self.forecast.sim.replaying(seen.recordings(commands)), self.windows(seen, commands)
         at = initial_sensitivity(sim, right.effects, windows, self.noise.start)
-        split = WhitenedWindows(windows, whitener(at, self.noise, sim.compared))
+        split = WhitenedWindows(windows, whitener(at, self.noise, sim.compared, windows.offsets))
         zero = split.residual(sim, right.effects)  # with memory before the window it does not predict itself exactly
 
         def residual(effects: Effects) -> np.ndarray:

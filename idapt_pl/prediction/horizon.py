@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from idapt_pl.prediction.data import Recording, UnusableData, Windows, sample_windows
+from idapt_pl.prediction.data import Recording, UnusableData, Windows, sample_windows, slope_reach
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.prediction.whitening import initial_sensitivity
@@ -17,16 +17,14 @@ SHORTEST_WINDOW = 5
 
 
 def noise_windows(sim: Simulator, episodes: np.ndarray, seed: int) -> Windows:
-    """Windows from which the noise is estimated: two control steps, about 0.25 s where velocities are slopes.
-
-    Slopes of positions look ahead: then only longer windows show the noise.
+    """Windows from which the noise is estimated: two control steps, or twice the reach of slopes that are velocities.
 
     Raises:
         UnusableData: the episodes are too short.
     """
     usual = int(np.median([len(sim.data[e]) for e in episodes]))
-    steps, samples = (2, 2) if sim.velocities else (min(max(2, round(0.25 / sim.control_period)), usual), 5)
-    windows = sample_windows(sim.data, episodes, steps, samples, 200, seed + 3)
+    steps = 2 if sim.velocities else 2 * slope_reach(sim.data[0].time)
+    windows = sample_windows(sim.data, episodes, steps, 2, 200, seed + 3)
     if not len(windows) or not (sim.velocities or usual >= SHORTEST):
         raise UnusableData(
             f"the episodes are too short: half of them last {usual} control steps or fewer; "

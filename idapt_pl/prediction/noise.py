@@ -25,18 +25,33 @@ PRIOR_WEIGHT = 0.2
 
 
 @dataclass(frozen=True)
+class SlopeOfPositions:
+    """What a velocity that nobody measured is: the slope between two samples of the positions.
+
+    Attributes:
+        reach: samples to either side.
+        seconds: between the two.
+    """
+
+    reach: int
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Noise:
     """Standard deviations: of every compared channel, and of the first state of a window (2 nv,).
 
     ``systematic`` are errors that are the same in all recordings, each as an effect of one standard deviation.
     Intervals of estimates allow for them; they are not looked for. ``forces`` (nv,) are what nothing explains of those
     on each degree of freedom, where models are judged by forces (:mod:`~idapt_pl.prediction.force_windows`), else None.
+    ``slope`` tells which positions first velocities share their noise with, where these are slopes.
     """
 
     sensors: np.ndarray
     start: np.ndarray
     systematic: Effects = ()
     forces: np.ndarray | None = None
+    slope: SlopeOfPositions | None = None
 
 
 def smoothness_noise(model: mujoco.MjModel, data: list[Recording], velocities: bool) -> list[np.ndarray]:
@@ -77,19 +92,24 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
         effects: of the current model.
         windows: short ones, of two control steps where velocities were measured.
     """
-    residual, A = (noise_from_steps if sim.velocities else noise_from_windows)(sim, effects, windows)
-    channels, nv = residual.shape[-1], sim.model.nv
-    limit = np.concatenate(smoothness_noise(sim.model, sim.data, sim.velocities))
-    if not sim.velocities:
-        limit = np.concatenate([limit, slope_noise(sim.model, sim.data, limit)])
-    low = (0.01 if sim.velocities else 0.3) * limit + 1e-9  # windows of a wrong model say little of the sensors
-    counts = rounding_noise([position_difference(sim.model, r.qpos[:1], r.qpos) for r in sim.data])
-    low[: len(counts)] = np.maximum(low[: len(counts)], counts)
-    sigma = np.clip(shrink_to_kind(sim.model, np.sqrt(fit_variances(A, residual))), low, np.maximum(limit, low))
     if sim.velocities:
+        residual, A = noise_from_steps(sim, effects, windows)
+        limit = np.concatenate(smoothness_noise(sim.model, sim.data, True))
+        sigma = within(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
         return Noise(sigma, sigma)
-    start = np.maximum(sigma[channels:], slope_noise(sim.model, sim.data, sigma[:nv], BENT))
-    return Noise(sigma[:channels], np.concatenate([sigma[:nv], start]))
+    slope, limit = slope_of(sim.data), smoothness_noise(sim.model, sim.data, False)[0]
+    residual, A = noise_from_windows(sim, effects, windows, slope)
+    fitted = np.sqrt(fit_variances(A, residual, shares_of_widths(sim, slope))[: sim.model.nv])
+    sensors = within(sim, 0.3 * limit + 1e-9, fitted, limit)  # windows of a wrong model say little of the sensors
+    start = np.hypot(2**0.5 * sensors / slope.seconds, BENT * slope_bending(sim, sensors))
+    return Noise(sensors, np.concatenate([sensors, start]), slope=slope)
+
+
+def within(sim: Simulator, low: np.ndarray, sigma: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Estimates of positions' (and velocities') noise between bounds; none is less than its encoder's counts."""
+    low, counts = low.copy(), rounding_noise([position_difference(sim.model, r.qpos[:1], r.qpos) for r in sim.data])
+    low[: len(counts)] = np.maximum(low[: len(counts)], counts)
+    return np.clip(shrink_to_kind(sim.model, sigma), low, np.maximum(high, low))
 
 
 def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
@@ -100,30 +120,47 @@ def shrink_to_kind(model: mujoco.MjModel, sigma: np.ndarray) -> np.ndarray:
 
     Args:
         model: the model.
-        sigma: of positions, and of velocities, (2 nv,).
+        sigma: of positions, (nv,), or of positions and of velocities, (2 nv,).
     """
     turns = np.concatenate([{0: [0] * 3 + [1] * 3, 1: [1] * 3, 2: [0], 3: [1]}[int(t)] for t in model.jnt_type])
-    kind, out = np.concatenate([turns, 2 + turns]), sigma.copy()
+    kind, out = np.concatenate([turns, 2 + turns])[: len(sigma)], sigma.copy()
     for k in np.unique(kind):
         out[kind == k] = np.maximum(sigma[kind == k], LEAST_OF_KIND * np.median(sigma[kind == k]))
     return out
 
 
-def slope_noise(model: mujoco.MjModel, data: list[Recording], sensors: np.ndarray, bent: float = 1.0) -> np.ndarray:
-    """Standard deviation of velocities that are slopes of positions, (nv,).
+def slope_of(data: list[Recording]) -> SlopeOfPositions:
+    """Over which samples velocities are taken that were not measured."""
+    reach = slope_reach(data[0].time)
+    return SlopeOfPositions(reach, 2 * reach * float(np.median(np.diff(data[0].time))))
 
-    Args:
-        model: the model.
-        data: recordings.
-        sensors: noise of the positions, (nv,).
-        bent: weight of what the motion's own bending does to a slope: a third of how two widths differ.
-    """
+
+def width_difference(sim: Simulator) -> np.ndarray:
+    """By how much slopes over one and over two reaches differ, standard deviation, (nv,)."""
     narrow, wide = (
-        np.concatenate([slopes(model, r.time, r.qpos, wider * slope_reach(r.time)) for r in data]) for wider in (1, 2)
+        np.concatenate([slopes(sim.model, r.time, r.qpos, wider * slope_reach(r.time)) for r in sim.data])
+        for wider in (1, 2)
     )
-    dt = float(np.median(np.diff(data[0].time)))
-    random = 2**0.5 * sensors / (2 * dt * slope_reach(data[0].time))
-    return np.hypot(random, bent * robust_deviation(narrow - wide) / 3)
+    return robust_deviation(narrow - wide)
+
+
+NOISE_OF_WIDTHS = 2.5
+"""Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
+
+
+def slope_bending(sim: Simulator, sensors: np.ndarray) -> np.ndarray:
+    """What the motion's own bending does to its slopes, standard deviation, (nv,).
+
+    A third of how two widths differ, but for what the positions' noise (nv,) does to that.
+    """
+    by_noise = NOISE_OF_WIDTHS * np.square(sensors / slope_of(sim.data).seconds)
+    return np.sqrt(np.maximum(np.square(width_difference(sim)) - by_noise, 0.0)) / 3
+
+
+def shares_of_widths(sim: Simulator, slope: SlopeOfPositions) -> np.ndarray:
+    """Of how slopes of two widths differ, the share per variance of positions and of bending, (nv, 2 nv)."""
+    total = np.square(width_difference(sim)) + 1e-30
+    return np.concatenate([np.diag(NOISE_OF_WIDTHS / slope.seconds**2 / total), np.diag(9 / total)], 1)
 
 
 def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -138,14 +175,20 @@ def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tupl
     return e1 - e0, one + np.square(S1 - one) + np.square(S0)
 
 
-def noise_from_windows(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
-    """The earliest residuals of windows, (n, 2, channels), and A with their variances A v, for positions alone.
+def noise_from_windows(
+    sim: Simulator, effects: Effects, windows: Windows, slope: SlopeOfPositions
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of two samples, (n, 2, channels), and A with their variances A v, for positions alone.
 
-    The velocity that a window starts with then has a noise of its own.
+    The velocity that a window starts with is a slope. So it has the noise of two positions, one of which may be
+    compared as well, and what bending does to it, the second half of v.
     """
     residual, S = residual_slopes(sim, effects, windows)
-    through, nv = np.square(S[:, :2]), sim.model.nv
-    return residual[:, :2], np.concatenate([np.eye(nv) + through[..., :nv], through[..., nv:]], -1)
+    S, nv = S[:, :2], sim.model.nv
+    by_noise = S[..., nv:] / slope.seconds
+    same = (windows.offsets[:2] == slope.reach)[:, None, None]
+    A = np.square(np.eye(nv) + by_noise * same) + np.square(by_noise) * (2.0 - same) + np.square(S[..., :nv])
+    return residual[:, :2], np.concatenate([A, np.square(S[..., nv:])], -1)
 
 
 def residual_slopes(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -154,29 +197,28 @@ def residual_slopes(sim: Simulator, effects: Effects, windows: Windows) -> tuple
     return base, np.stack([(sim.residual(effects, windows, n) - base) / n.sum() for n in np.diag(small)], -1)
 
 
-def fit_variances(A: np.ndarray, residual: np.ndarray, rounds: int = 8) -> np.ndarray:
+def fit_variances(A: np.ndarray, residual: np.ndarray, shares: np.ndarray | None = None, rounds: int = 8) -> np.ndarray:
     """Non-negative v with Var(residual) = A v, from residuals of which some are outliers.
 
-    Iteratively re-weighted least squares on the squares; beyond three sigma they do not count. A little weight on equal
-    shares of sensor and first state settles what the residuals leave open.
+    Iteratively re-weighted least squares on the squares; beyond three sigma they do not count. A little weight on what
+    is known besides settles what the residuals leave open.
 
     Args:
         A: (n, j, channels, p).
         residual: (n, j, channels).
+        shares: rows that give 1 times v, (k, p); default is that all residuals are the sensors'.
         rounds: of re-weighting.
     """
     n, p = len(A), A.shape[-1]
     spread = np.square(robust_deviation(residual[:, 0])) + 1e-30
-    typical, channels = np.median(A[:, 0], 0), len(spread)
-    guess = spread / typical[:, :channels].diagonal()
-    if p > channels:
-        guess = np.concatenate([guess, spread / np.maximum(typical[:, channels:].diagonal(), 1e-12)])
-    v, rows, squares = guess, A.reshape(-1, p), np.square(residual).ravel() + 1e-30
+    guess = spread / np.median(A[:, 0], 0).diagonal()
+    known = PRIOR_WEIGHT * np.sqrt(n) * (np.diag(1 / guess) if shares is None else shares)
+    v, rows, squares = np.resize(guess, p), A.reshape(-1, p), np.square(residual).ravel() + 1e-30
     for _ in range(rounds):
         expected = rows @ v + 1e-30
         expected *= max(1.0, float(np.median(squares / expected)) / 0.455)  # the median of chi²
         keep = squares < 9 * expected
         left, right = rows[keep] / expected[keep, None], squares[keep] / expected[keep] / 0.973
-        pull = PRIOR_WEIGHT * np.sqrt(n) / guess
-        v, _ = nnls(np.concatenate([left, np.diag(pull)]), np.concatenate([right, pull * guess]), maxiter=100 * p)
+        told = np.full(len(known), PRIOR_WEIGHT * np.sqrt(n))
+        v, _ = nnls(np.concatenate([left, known]), np.concatenate([right, told]), maxiter=100 * p)
     return v

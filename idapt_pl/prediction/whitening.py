@@ -38,11 +38,12 @@ def initial_sensitivity(
     return InitialStateSensitivity(np.stack(slope, -1), np.stack(bend, -1))
 
 
-def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray) -> np.ndarray:
+def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, j channels): a row for what is compared.
 
     R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
-    last, windows in which the noise decides whether a foot touches the floor would outweigh all others.
+    last, windows in which the noise decides whether a foot touches the floor would outweigh all others. Where a first
+    velocity is a slope of positions, the noise of one of these may be compared as well (``offsets``: samples that are).
     """
     n, j, channels, _ = at.slope.shape
     rows = np.flatnonzero(np.tile(compared, j))
@@ -50,6 +51,12 @@ def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray) ->
     S = S.reshape(n, j * channels, -1)[:, rows]
     R = S @ S.transpose(0, 2, 1)
     R[:, np.arange(len(rows)), np.arange(len(rows))] += np.square(np.tile(noise.sensors, j)[rows])
+    if noise.slope is not None:
+        shared = np.zeros((n, j * channels, j * channels))
+        for k in np.flatnonzero(offsets == noise.slope.reach):
+            by_noise = at.slope[..., channels:] * np.square(noise.sensors) / noise.slope.seconds
+            shared[:, :, k * channels : (k + 1) * channels] = by_noise.reshape(n, -1, channels)
+        R += (shared + shared.transpose(0, 2, 1))[:, rows][:, :, rows]
     scale = np.sqrt(np.einsum("nii->ni", R))
     C = R / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(len(rows))
     W = np.zeros((n, len(rows), j * channels))

@@ -105,7 +105,7 @@ def judged_alike(diagnosis: Diagnosis, windows: Windows) -> WhitenedWindows:
     if noise.forces is not None:
         return judged_by_forces(windows, noise.forces)
     at = initial_sensitivity(sim, effects, windows, noise.start)
-    return WhitenedWindows(windows, whitener(at, noise, sim.compared))
+    return WhitenedWindows(windows, whitener(at, noise, sim.compared, windows.offsets))
 
 
 def changed_values(diagnosis: Diagnosis, fits: Sequence[OwnFit]) -> list[ChangedValue]:

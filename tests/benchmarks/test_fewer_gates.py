@@ -16,7 +16,7 @@ DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
 
 def judged(gain, gain_error=0.01):
     trial = Trial(DAMPING, 0, 100.0, (np.array([0.05]),), 1.0, np.full(40, 4.0 - gain), gain, gain_error)
-    return Judged(SearchSettings(), True, trial, np.full(40, 4.0), 4.0, further=False)
+    return Judged(SearchSettings(), trial, np.full(40, 4.0), 4.0, further=False)
 
 
 def test_gates_that_are_left_out_are_those_of_the_diagnosis():

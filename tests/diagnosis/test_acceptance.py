@@ -40,9 +40,9 @@ def trial(candidate, loss, seed=0, round=1, gain=3.0):
     return Trial(candidate, round, 100.0, x, 1.0, losses, gain, 0.1)
 
 
-def judged(t, level, first, further, velocities=True):
+def judged(t, level, first, further):
     """A trial with what it is judged by: a model that leaves ``level`` in every window, and at first left ``first``."""
-    return Judged(SearchSettings(), velocities, t, np.full(N, level), first, further)
+    return Judged(SearchSettings(), t, np.full(N, level), first, further)
 
 
 def test_the_one_that_leaves_least_is_accepted_and_the_others_are_worse(state):
@@ -108,15 +108,6 @@ def test_a_first_effect_is_not_asked_what_further_ones_are_however_late_it_comes
 def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
     at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
     assert objection(judged(at_end, 4.0, 4.0, further=at_end.round > 0)).reason is RejectionReason.BEYOND_SENSORS
-
-
-def test_without_velocities_the_first_effect_must_be_large():
-    first, later = (trial(DAMPING, 1.0, round=k, gain=0.8) for k in (0, 1))
-    assert (
-        objection(judged(first, 4.0, 4.0, further=first.round > 0, velocities=False)).reason
-        is RejectionReason.SMALL_GAIN
-    )
-    assert objection(judged(later, 4.0, 4.0, further=later.round > 0, velocities=False)) is None
 
 
 def test_what_machines_do_not_have_is_refused_with_the_reason():

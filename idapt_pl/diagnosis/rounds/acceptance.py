@@ -97,7 +97,7 @@ def refine(
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
     t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
-    judged = Judged(context.settings, context.sim.velocities, t, now, first, further=bool(state.accepted))
+    judged = Judged(context.settings, t, now, first, further=bool(state.accepted))
     return replace(t, rejection=objection(judged))
 
 

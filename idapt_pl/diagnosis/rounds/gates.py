@@ -31,10 +31,7 @@ LEAST_FURTHER = 0.08
 SLIPS = 1e-3
 """Share of the error that was removed so far, which found effects may leave: their law is 3 % wrong, squared."""
 CLEAR_GAIN = 0.25
-"""Share of the held-out error that a first effect must remove where velocities are only slopes of positions.
-
-What the slopes get wrong at the start of a window is not all in the noise; a lag of 2 ms or a little rotor inertia
-takes 15 % of it away where nothing is missing (``benchmarks/diagnosis.py --positions``)."""
+"""Share of the held-out error that is much: what removes it is needed, whatever longer replays say."""
 AT_THE_FLOOR, TYPICALLY_AT_IT, SHARE_THERE = 1.05, 1.15, 0.15
 """Mean held-out loss below which no further effect is looked for; its median below which an effect must remove so much
 of the error: a few windows are wrong for another reason."""
@@ -48,7 +45,6 @@ class Judged:
 
     Attributes:
         settings: of the search.
-        velocities: whether they were measured.
         trial: what became of the candidate.
         now: held-out losses without it, (n,).
         first: mean held-out loss of the model as it was given.
@@ -56,7 +52,6 @@ class Judged:
     """
 
     settings: SearchSettings
-    velocities: bool
     trial: Trial
     now: np.ndarray
     first: float
@@ -98,15 +93,6 @@ def share_of_error(j: Judged) -> Rejection | None:
     if j.removes(asked):
         return None
     text = f"it removes {100 * j.trial.gain / j.level:.1f} % of the held-out error, less than {100 * asked:g} %"
-    return Rejection(RejectionReason.SMALL_GAIN, text)
-
-
-def clear_without_velocities(j: Judged) -> Rejection | None:
-    """A first effect, where velocities are only slopes."""
-    if j.velocities or j.further or j.removes(CLEAR_GAIN):
-        return None
-    removed = f"{100 * j.trial.gain / j.level:.0f} %"
-    text = f"it removes {removed} of the error; without velocities {100 * CLEAR_GAIN:.0f} % are asked"
     return Rejection(RejectionReason.SMALL_GAIN, text)
 
 
@@ -167,7 +153,7 @@ def had_by_machines(j: Judged) -> Rejection | None:
 
 
 GATES: tuple[Gate, ...] = (
-    within_sensors, sure_gain, share_of_error, clear_without_velocities, share_above_floor, something_left,
+    within_sensors, sure_gain, share_of_error, share_above_floor, something_left,
     share_of_further, more_than_slips, noticeable, typical_window, had_by_machines,
 )  # fmt: skip
 """In the order in which they are told."""

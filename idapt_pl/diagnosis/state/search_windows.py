@@ -106,8 +106,10 @@ def whiten_windows(
         if known is None or not still_hold(context, known, structure, effects, noise):
             known = measure_sensitivity(context, structure, effects, noise)
         noise = context.known_noise or estimate_noise(sim, effects, context.probe)
-        fit = WhitenedWindows(known.fit, whitener(known.at_fit, noise, sim.compared))
-        held_out = WhitenedWindows(known.held_out, whitener(known.at_held_out, noise, sim.compared))
+        fit = WhitenedWindows(known.fit, whitener(known.at_fit, noise, sim.compared, known.fit.offsets))
+        held_out = WhitenedWindows(
+            known.held_out, whitener(known.at_held_out, noise, sim.compared, known.held_out.offsets)
+        )
     rows, each = np.random.default_rng(context.seed).permutation(len(fit.windows)), len(fit.windows) // len(known.fit)
     few, fewer = (each * max(30, int(n * possible)) for n in (s.screen_windows, s.scout_windows))
     return SearchWindows(noise, known, fit, fit[np.sort(rows[:few])], fit[np.sort(rows[:fewer])], held_out)
@@ -132,7 +134,7 @@ def still_hold(
     """Whether sensitivities count for a model of another structure: while its predictions are near those before."""
     if known.structure == structure or known.structure.fixed != structure.fixed:
         return known.structure == structure
-    W = whitener(known.at_fit, noise, context.sim.compared)
+    W = whitener(known.at_fit, noise, context.sim.compared, known.fit.offsets)
     return moved_little(W, known.residual, context.sim.residual(effects, known.fit), SAME_SENSITIVITIES)
 
 
