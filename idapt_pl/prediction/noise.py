@@ -101,7 +101,7 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     residual, A = noise_from_windows(sim, effects, windows, slope)
     fitted = np.sqrt(fit_variances(A, residual, shares_of_widths(sim, slope))[: sim.model.nv])
     sensors = within(sim, 0.3 * limit + 1e-9, fitted, limit)  # windows of a wrong model say little of the sensors
-    start = np.hypot(2**0.5 * sensors / slope.seconds, BENT * slope_bending(sim, sensors))
+    start = np.hypot(2**0.5 * sensors / slope.seconds, BENT * slope_bending(sim))
     return Noise(sensors, np.concatenate([sensors, start]), slope=slope)
 
 
@@ -148,13 +148,12 @@ NOISE_OF_WIDTHS = 2.5
 """Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
 
 
-def slope_bending(sim: Simulator, sensors: np.ndarray) -> np.ndarray:
-    """What the motion's own bending does to its slopes, standard deviation, (nv,).
+def slope_bending(sim: Simulator) -> np.ndarray:
+    """What the motion's own bending does to its slopes, standard deviation, (nv,): a third of how two widths differ.
 
-    A third of how two widths differ, but for what the positions' noise (nv,) does to that.
+    What noise does to that is in it: a first velocity is rather trusted too little.
     """
-    by_noise = NOISE_OF_WIDTHS * np.square(sensors / slope_of(sim.data).seconds)
-    return np.sqrt(np.maximum(np.square(width_difference(sim)) - by_noise, 0.0)) / 3
+    return width_difference(sim) / 3
 
 
 def shares_of_widths(sim: Simulator, slope: SlopeOfPositions) -> np.ndarray:
