@@ -206,7 +206,8 @@ def search_cost(results: Path = RESULTS) -> str:
         if first is last:
             continue
         changed = [f"{first[k]} to {last[k]}" for k in ("steps_m", "cpu_s")]
-        found = "the same" if first["found"] == last["found"] else f"{first['found']}; now {last['found']}"
+        names = [sorted(r["found"].split(" + ")) for r in (first, last)]
+        found = "the same" if names[0] == names[1] else f"{first['found']}; now {last['found']}"
         lines.append((*case, *changed, f"{float(first['loss']):.3f} to {float(last['loss']):.3f}", found))
     titles = ("recordings of", "hidden effects", "seed", "million time steps", "CPU seconds", "error left", "found")
     return markdown(titles, lines)
