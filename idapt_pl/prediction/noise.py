@@ -95,17 +95,19 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     if sim.velocities:
         residual, A = noise_from_steps(sim, effects, windows)
         limit = np.concatenate(smoothness_noise(sim.model, sim.data, True))
-        sigma = within(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
+        sigma = bounded_noise(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
         return Noise(sigma, sigma)
     slope, limit = slope_of(sim.data), smoothness_noise(sim.model, sim.data, False)[0]
     residual, A = noise_from_windows(sim, effects, windows, slope)
     fitted = np.sqrt(fit_variances(A, residual, shares_of_widths(sim, slope))[: sim.model.nv])
-    sensors = within(sim, 0.3 * limit + 1e-9, fitted, limit)  # windows of a wrong model say little of the sensors
+    sensors = bounded_noise(
+        sim, 0.3 * limit + 1e-9, fitted, limit
+    )  # windows of a wrong model say little of the sensors
     start = np.hypot(2**0.5 * sensors / slope.seconds, BENT * slope_bending(sim))
     return Noise(sensors, np.concatenate([sensors, start]), slope=slope)
 
 
-def within(sim: Simulator, low: np.ndarray, sigma: np.ndarray, high: np.ndarray) -> np.ndarray:
+def bounded_noise(sim: Simulator, low: np.ndarray, sigma: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Estimates of positions' (and velocities') noise between bounds; none is less than its encoder's counts."""
     low, counts = low.copy(), rounding_noise([position_difference(sim.model, r.qpos[:1], r.qpos) for r in sim.data])
     low[: len(counts)] = np.maximum(low[: len(counts)], counts)
