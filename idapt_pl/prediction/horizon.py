@@ -23,7 +23,7 @@ def noise_windows(sim: Simulator, episodes: np.ndarray, seed: int) -> Windows:
         UnusableData: the episodes are too short.
     """
     usual = int(np.median([len(sim.data[e]) for e in episodes]))
-    steps = 2 if sim.velocities else 2 * slope_reach(sim.data[0].time)
+    steps = 2 if sim.velocities else min(2 * slope_reach(sim.data[0].time), usual)
     windows = sample_windows(sim.data, episodes, steps, 2, 200, seed + 3)
     if not len(windows) or not (sim.velocities or usual >= SHORTEST):
         raise UnusableData(

@@ -20,6 +20,9 @@ BENT = 3.0
 
 It is no noise: it goes with what the machine does, as a wrong mass does."""
 
+NOISE_OF_WIDTHS = 2.5
+"""Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
+
 PRIOR_WEIGHT = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
 
@@ -100,9 +103,8 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     slope, limit = slope_of(sim.data), smoothness_noise(sim.model, sim.data, False)[0]
     residual, A = noise_from_windows(sim, effects, windows, slope)
     fitted = np.sqrt(fit_variances(A, residual, shares_of_widths(sim, slope))[: sim.model.nv])
-    sensors = bounded_noise(
-        sim, 0.3 * limit + 1e-9, fitted, limit
-    )  # windows of a wrong model say little of the sensors
+    low = 0.3 * limit + 1e-9  # windows of a wrong model say little of the sensors
+    sensors = bounded_noise(sim, low, fitted, limit)
     start = np.hypot(2**0.5 * sensors / slope.seconds, BENT * slope_bending(sim))
     return Noise(sensors, np.concatenate([sensors, start]), slope=slope)
 
@@ -144,10 +146,6 @@ def width_difference(sim: Simulator) -> np.ndarray:
         for wider in (1, 2)
     )
     return robust_deviation(narrow - wide)
-
-
-NOISE_OF_WIDTHS = 2.5
-"""Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
 
 
 def slope_bending(sim: Simulator) -> np.ndarray:
