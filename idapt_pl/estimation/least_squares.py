@@ -152,9 +152,7 @@ def gauss_newton(
     now, damping = _Point.at(residual, box.clip(x)), 1e-3
     J, fresh = _slopes(residual, now, box, cheaper, slopes), slopes is None or not slopes.size
     for k in range(iterations):
-        if (
-            k and not fresh and _hopeless(now, J, box, good_enough)
-        ):  # steps that correct slopes leave some of them wrong
+        if k and not fresh and _hopeless(now, J, box, good_enough):  # slopes that steps corrected may be wrong
             J, fresh = _slopes(residual, now, box, cheaper), True
         if _hopeless(now, J, box, good_enough):
             return LeastSquaresFit(now.x, now.loss, J, now.z, given_up=True)

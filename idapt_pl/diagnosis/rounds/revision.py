@@ -103,9 +103,12 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     best: Candidate | None = None
     best_x: tuple[np.ndarray, ...] = ()
     best_loss = float(now.mean())
-    for t in rivals:
-        simpler = old.candidate.size - t.candidate.size >= 2  # and then as good is good enough
-        x = fit_in_place(context, state, old, t) if simpler or now.mean() > AT_THE_FLOOR else None
+    simpler_ones = [t for t in rivals if old.candidate.size - t.candidate.size >= 2]  # as good is good enough
+    worth_fitting = rivals if best_loss > AT_THE_FLOOR else simpler_ones
+    slopes = slopes_of_accepted(context, state.without(old), state.windows.fit) if worth_fitting else None
+    for t in worth_fitting:
+        simpler = t in simpler_ones
+        x = fit_in_place(context, state, old, t, slopes)
         if x is None or beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
             continue
         candidates = [*state.without(old).candidates, t.candidate]
@@ -124,15 +127,16 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
 
 
 def fit_in_place(
-    context: SearchContext, state: SearchState, old: AcceptedEffect, t: Trial
+    context: SearchContext, state: SearchState, old: AcceptedEffect, t: Trial, slopes: np.ndarray | None
 ) -> tuple[np.ndarray, ...] | None:
     """Fit a rival in the place of an effect, all others free; None where it would leave more than that does.
+
+    ``slopes`` are by the others' parameters, (n rows, q).
 
     Returns:
         Parameters of the others in their order, then its own.
     """
     rest, split = state.without(old), state.windows.fit
-    slopes = slopes_of_accepted(context, rest, split)
     start, most = [*rest.estimates, t.x[-1]], AS_GOOD_AS * fitted_loss(context, state)
     candidates = [*rest.candidates, t.candidate]
     fit = context.fit(split, state.fixed, candidates, start, 5, slopes=slopes, good_enough=most)
