@@ -133,6 +133,18 @@ def find_elements(spec: mujoco.MjSpec, kind: str, target: str) -> list[Any]:
     return found
 
 
+def names_in(target: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Which of these names a target is made of: one of them, two with a space between, or none.
+
+    Names may have spaces in them.
+    """
+    known = [name for name in names if name]
+    if target in known:
+        return (target,)
+    pairs = ((first, target.removeprefix(f"{first} ")) for first in known if target.startswith(f"{first} "))
+    return next((pair for pair in pairs if pair[1] in known and pair[1] != pair[0]), ())
+
+
 PLAY_SUFFIX = " play"
 """What the name of a joint behind another one, which is its play, ends in; to other effects it is none."""
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from idapt_pl.effects.base import ACTUATED
+from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
 
 
@@ -45,7 +45,8 @@ class Machine:
         m = self.model
         if target in ("*", ACTUATED):
             return list(range(m.nv))
-        return [int(m.jnt_dofadr[j]) for j in range(m.njnt) if m.joint(j).name == target] or list(range(m.nv))
+        meant = names_in(target, [m.joint(j).name for j in range(m.njnt)])[-1:]  # of two, as felt at the second
+        return [int(m.joint(name).dofadr[0]) for name in meant] or list(range(m.nv))
 
     def effort(self, c: Candidate) -> float:
         """The largest torque or force that acted on a joint."""
@@ -143,6 +144,12 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("joint_cogging", "sine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),
     ("joint_cogging", "cosine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),
     ("joint_cogging", "periods"): Plausible(1.0, 100.0, "", "motors have some tens of poles and slots"),
+    ("shared_motor", "damping"): Plausible(0.0, 3.0, "of what drives it, over its speed", FRICTION),
+    ("shared_motor", "frictionloss"): Plausible(0.0, 1.5, "of what drives it", FRICTION),
+    ("shared_motor", "armature"): Plausible(
+        0.0, 10.0, "of the largest inertia", "gears are chosen so that a rotor feels about as heavy as its load"
+    ),
+    ("shared_motor", "ratio"): Plausible(-3.0, 3.0, "", "belts and bevel gears between joints go one to one, or near"),
     ("body_mass", "mass"): WEIGHED,
     ("body_inertia", "mass"): WEIGHED,
     ("body_inertia", "rotation"): Plausible(0.2, 5.0, "of the model's", COUNTERPARTS),
@@ -207,6 +214,7 @@ RARITY = {
     "joint_cogging": 0.03,
     "actuator_deadzone": 0.05,
     "actuator_rotation": 0.05,
+    "shared_motor": 0.05,
 }
 """Share of its gain by which a rare cause must be better than a common one: such effects imitate much.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import mujoco
 
-from idapt_pl.effects.base import ACTUATED, EFFECTS
+from idapt_pl.effects.base import ACTUATED, EFFECTS, names_in
 
 
 def phrase_at(effect: str, target: str) -> str:
@@ -54,7 +54,8 @@ def unit_at(model: mujoco.MjModel, target: str, unit: str) -> str:
     slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
     driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0])
     meant = {"*": set(range(model.njnt)), ACTUATED: driven}.get(target, set())
-    joints = [j for j in range(model.njnt) if j in meant or model.joint(j).name == target]
+    names = [model.joint(j).name for j in range(model.njnt)]
+    joints = [j for j, name in enumerate(names) if j in meant or name in names_in(target, names)]
     kinds = {int(model.jnt_type[j]) for j in joints} & {slide, hinge}
     if len(kinds) != 1:
         return unit

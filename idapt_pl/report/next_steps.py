@@ -21,6 +21,7 @@ CONFIRM = {
     "joint_springref": "Hold several poses with the motor off, and note where the joint rests.",
     "joint_drag": "Run at the highest speeds allowed, both ways.",
     "joint_backlash": "Hold the motor and move the link by hand; then reverse slowly under load.",
+    "shared_motor": "Turn the first joint alone, and watch the second one's motor: does it turn, or need a torque?",
     "joint_cogging": "Turn slowly through whole turns and look for a ripple that repeats with the angle.",
     "actuator_gain": "Hold a known weight on a lever and compare torque and command; check supply and current limit.",
     "motor_constant": "Measure voltage over speed with the motor turned by hand or another motor.",

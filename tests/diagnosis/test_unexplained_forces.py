@@ -13,6 +13,7 @@ from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
 from idapt_pl.diagnosis.search import by_forces_if_need_be, diagnose, forecasts_worse, search_by_forces
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect
 from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS
+from idapt_pl.effects.couplings import SharedMotor
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss, JointStiffness
 from idapt_pl.prediction.data import Windows
 from idapt_pl.prediction.force_windows import instants_of, judged_by_forces, judges_forces, lacking_forces
@@ -130,6 +131,19 @@ def test_no_more_effects_than_were_asked_for_are_added_to_the_usual_causes():
     after, _ = search_by_forces(context, (state, ()))
     kinds = [c.kind for c in after.candidates]
     assert kinds.count(JointStiffness) == 1 and JointDamping in kinds
+
+
+def test_a_motor_that_two_joints_share_is_among_the_usual_causes_where_there_is_one(arm):
+    hidden = (*TRUE, SharedMotor("shoulder elbow", damping=2.0, frictionloss=3.0))
+    shared = []
+    for recording in (recorded(hidden), arm):
+        context, state = begin_search(spec_of(), recording, threads=1, settings=QUICK)
+        begun = begin_with_usual_causes(context, state)
+        shared.append([e for e in begun.effects if isinstance(e, SharedMotor)])
+        assert {JointFrictionloss, JointDamping} <= {type(e) for e in begun.effects}
+    (found,), none = shared
+    assert found.damping == pytest.approx(2.0, rel=0.3) and found.frictionloss == pytest.approx(3.0, rel=0.3)
+    assert found.ratio == 1.0 and not none
 
 
 def test_a_joint_that_never_moves_breaks_nothing(arm):

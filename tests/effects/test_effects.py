@@ -22,6 +22,7 @@ from idapt_pl.effects.actuators import (
 from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.contacts import ContactFriction, ContactSoftness
+from idapt_pl.effects.couplings import SharedMotor
 from idapt_pl.effects.joints import (
     JointArmature,
     JointBacklash,
@@ -107,6 +108,7 @@ EXAMPLES = [
     ResidualNetwork("hinge", "q", (1.0,), (1.0, 0.0, 0.5, 0.1), 2.0),
     JointStribeck("slide", 0.1, 0.2),
     SensorBias("hinge", 0.1),
+    SharedMotor("slide hinge", frictionloss=0.1, ratio=-0.5),
     SensorDelay("*", 0.02),
     SensorGain("hinge", 1.1),
     CameraPose("view", azimuth=90, elevation=-45, distance=2, lookat=(0, 0, 1), fovy=30),

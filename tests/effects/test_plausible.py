@@ -94,10 +94,12 @@ ARM = """
   <worldbody>
     <body name="cart"><joint name="slide" type="slide" axis="1 0 0" stiffness="2"/><geom name="box" size="0.1"/>
       <body name="arm" pos="0 0 0.5"><joint name="hinge" axis="0 1 0"/><geom name="rod" size="0.1" pos="0 0 0.2"/>
+        <body name="hand" pos="0 0 0.4"><joint name="wrist" axis="0 1 0"/><geom name="palm" size="0.1"/></body>
       </body></body>
     <geom name="floor" type="plane" size="1 1 1"/>
   </worldbody>
   <actuator><motor name="push" joint="slide"/><position name="hold" joint="hinge" kp="30" kv="1"/>
+    <motor name="bend" joint="wrist"/>
     <dcmotor name="turn" joint="hinge" motorconst="0.05" resistance="2" input="voltage"/></actuator>
 </mujoco>"""
 
@@ -105,8 +107,8 @@ ARM = """
 @pytest.fixture
 def arm():
     """With every kind of element, links of half a metre, 6 N·m of usual force."""
-    two, three = np.full(2, 2.0), np.full(3, 6.0)
-    typical = TypicalSizes(0.02, two, two, two, 3 * two, three, three, 0.2, effort=5 * two)
+    two, six = np.full(3, 2.0), np.full(4, 6.0)
+    typical = TypicalSizes(0.02, two, two, two, 3 * two, six, six, 0.2, effort=5 * two)
     return Machine(mujoco.MjModel.from_xml_string(ARM), typical)
 
 
@@ -130,6 +132,7 @@ def test_every_parameter_that_is_searched_has_a_range(arm, kind):
         ("body_inertia", "arm", "xy", (-1.6, 1.6)),
         ("actuator_saturation", "hold", "force", (0.018, 1e6)),
         ("actuator_rotation", "push hold", "angle", (-np.pi, np.pi)),
+        ("shared_motor", "hinge wrist", "frictionloss", (0.0, 15.0)),
     ],
 )
 def test_places_speeds_and_forces_are_measured_by_the_machine(arm, effect, target, parameter, expected):
@@ -139,7 +142,7 @@ def test_places_speeds_and_forces_are_measured_by_the_machine(arm, effect, targe
 
 
 def test_a_joint_that_never_moves_keeps_the_bounds_of_its_effects(arm):
-    still = dataclasses.replace(arm, typical=dataclasses.replace(arm.typical, speed=np.array([2.0, 1e-9])))
+    still = dataclasses.replace(arm, typical=dataclasses.replace(arm.typical, speed=np.array([2.0, 1e-9, 2.0])))
     for kind in (EFFECTS["joint_stribeck"], EFFECTS["joint_drag"], EFFECTS["joint_damping"]):
         for c in kind.candidates(still.model, still.typical):
             low, high = with_plausible_ends(c, still).bounds()

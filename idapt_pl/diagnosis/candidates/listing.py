@@ -10,7 +10,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidates.held_joints import joints_held
 from idapt_pl.effects import EFFECTS
-from idapt_pl.effects.base import ACTUATED
+from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
 from idapt_pl.effects.plausible import Machine, with_plausible_ends
 from idapt_pl.effects.world import Numerics
@@ -24,6 +24,7 @@ joint_drag
 sensor_bias sensor_gain joint_stribeck joint_backlash joint_cogging
 joint_stiffness
 joint_springref
+shared_motor
 body_mass body_com payload body_inertia
 external_force
 actuator_gain
@@ -94,7 +95,9 @@ def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate
     if held and (model.jnt_type >= 2).sum() - len(held) < 2:
         held |= {"*", ACTUATED}  # one value for all would be that of the only joint left
     every = [c for kind in EFFECTS.values() for c in kind.candidates(model, typical)]
-    return in_order([c for c in every if c.target not in held or not c.kind.phrase.endswith("joint")])
+    names = [model.joint(j).name for j in range(model.njnt)]
+    of_held = [c for c in every if held.intersection((c.target, *names_in(c.target, names)))]
+    return in_order([c for c in every if c not in of_held or not c.kind.phrase.endswith(("joint", "joints"))])
 
 
 def in_plausible_ranges(
