@@ -58,20 +58,20 @@ class Watch:
 
     Attributes:
         drawn: what is hidden.
-        told: names of the gates that each candidate did not pass, by the candidate's identity and the round.
+        told: names of the gates that each candidate did not pass, by the candidate's identity and its estimate.
         rows: of all candidates that were judged.
         decisions: rounds that it has seen; a search that begins anew counts its own from 0.
     """
 
     drawn: Drawn
-    told: dict[tuple[int, int], list[str]] = field(default_factory=dict)
+    told: dict[tuple[int, bytes], list[str]] = field(default_factory=dict)
     rows: list[dict] = field(default_factory=list)
     decisions: int = 0
 
     def objection(self, j: Judged) -> Rejection | None:
         """As of :mod:`idapt_pl.diagnosis.rounds.gates`; all of them are noted."""
         every = list(objections(j))
-        self.told[id(j.trial.candidate), j.trial.round] = [gate.__name__ for gate, _ in every]
+        self.told[id(j.candidate), j.x.tobytes()] = [gate.__name__ for gate, _ in every]
         return every[0][1] if every else None
 
     def accept(self, state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:
@@ -83,7 +83,8 @@ class Watch:
                 self.rows.append({
                     "decision": self.decisions, "round": t.round, "candidate": t.candidate.label,
                     "right": self.is_right(state, t.candidate), "chosen": int(t.candidate is chosen),
-                    "gates": " ".join(self.told[id(t.candidate), t.round]), "before": round(t.held_out + t.gain, 4),
+                    "gates": " ".join(self.told[id(t.candidate), t.x[-1].tobytes()]),
+                    "before": round(t.held_out + t.gain, 4),
                     "after": round(t.held_out, 4), "gain_error": round(t.gain_error, 5),
                 })  # fmt: skip
         return made

@@ -10,7 +10,7 @@ import mujoco
 from idapt_pl.effects.base import Effect, names_in, parameter
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, joints_with_motor
 
-STRENGTH = ("damping", "frictionloss", "armature")
+RUBS_AND_WEIGHS = ("damping", "frictionloss", "armature")
 """Parameters that say how strong it is."""
 
 WAYS = (1.0, -1.0)
@@ -59,16 +59,16 @@ class SharedMotor(Effect):
             inertia = max(typical.inertia[v], FELT_BEFORE * typical.inertia[u])
             sizes = (inertia / typical.horizon, inertia * typical.speed[v] / typical.horizon, inertia)
             rubbing = [(0.0, f * sizes[1], 0.0) for f in (1.0, 10.0)]
-            one = Candidate(cls, f"{first} {second}", STRENGTH, (0.0, 0.0, 0.0), sizes, tuple(rubbing))
+            one = Candidate(cls, f"{first} {second}", RUBS_AND_WEIGHS, (0.0, 0.0, 0.0), sizes, tuple(rubbing))
             found += [replace(one, fixed=(("ratio", way),)) for way in WAYS]
             found.append(
                 replace(
                     one,
-                    names=(*STRENGTH, "ratio"),
+                    names=(*RUBS_AND_WEIGHS, "ratio"),
                     nominal=(*one.nominal, WAYS[0]),
                     scale=(*sizes, 0.3),
                     starts=tuple((*x, way) for x in rubbing for way in WAYS),
-                    strength=len(STRENGTH),
+                    strength=len(RUBS_AND_WEIGHS),
                 )
             )
         return found

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fewer_gates import NEVER_ALONE, Fewer, judged_by, run, summarise
-from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.candidates.trial import RejectionReason
 from idapt_pl.diagnosis.rounds import acceptance
 from idapt_pl.diagnosis.rounds.gates import GATES, Judged
 from idapt_pl.diagnosis.state.settings import SearchSettings
@@ -15,8 +15,7 @@ DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
 
 
 def judged(gain, gain_error=0.01):
-    trial = Trial(DAMPING, 0, 100.0, (np.array([0.05]),), 1.0, np.full(40, 4.0 - gain), gain, gain_error)
-    return Judged(SearchSettings(), trial, np.full(40, 4.0), 4.0, further=False)
+    return Judged(DAMPING, np.array([0.05]), gain, gain_error, 4.0, False, SearchSettings())
 
 
 def test_gates_that_are_left_out_are_those_of_the_diagnosis():

@@ -35,7 +35,7 @@ def refined(candidate, gain, gain_error=0.01):
 
 
 def decided(watch, state, *trials):
-    judged = (Judged(SearchSettings(), t, np.full(N, 4.0), 4.0, further=False) for t in trials)
+    judged = (Judged(t.candidate, t.x[-1], t.gain, t.gain_error, 4.0, False, SearchSettings()) for t in trials)
     told = [t if (r := watch.objection(j)) is None else t.rejected(r.reason, r.text) for t, j in
             zip(trials, judged, strict=True)]  # fmt: skip
     return watch.accept(state, told)[0]

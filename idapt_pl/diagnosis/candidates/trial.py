@@ -29,8 +29,6 @@ class RejectionReason(StrEnum):
     """It may not help on held-out episodes at all."""
     SMALL_GAIN = "small_gain"
     """It removes too little of the held-out error."""
-    NOISE_FLOOR = "noise_floor"
-    """Nothing is left for it to explain."""
     SMALL_CHANGE = "small_change"
     """Its estimate is too small to matter."""
     WORSE = "worse"

@@ -38,14 +38,11 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     slopes = slopes_of_accepted(context, state, state.windows.screen)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     now = context.loss(state.windows.held_out, state.effects)
-    first = (
-        float(context.loss(state.windows.held_out, context.declared).mean()) if state.accepted else float(now.mean())
-    )
     confirmed, refined = [], 0
     for t in rough:
         best = rough[0].rough_loss
         if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            confirmed.append(refine(context, state, t, slopes, now, first))
+            confirmed.append(refine(context, state, t, slopes, now))
             refined += 1
         else:
             text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
@@ -79,9 +76,7 @@ def rough_fit(
     return replace(t, x=fit.x, rough_loss=fit.solution.loss), fit.solution.J
 
 
-def refine(
-    context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray, now: np.ndarray, first: float
-) -> Trial:
+def refine(context: SearchContext, state: SearchState, t: Trial, slopes: np.ndarray, now: np.ndarray) -> Trial:
     """Refit a candidate, with all accepted effects free, and judge it.
 
     Args:
@@ -90,15 +85,13 @@ def refine(
         t: the candidate, roughly fitted.
         slopes: by what was accepted, (n rows, p).
         now: held-out losses without it, (n,).
-        first: mean held-out loss of the model as it was given.
     """
     candidates = [*state.candidates, t.candidate]
     x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
     gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
-    t = replace(t, x=x, losses=losses, gain=gain, gain_error=error)
-    judged = Judged(context.settings, t, now, first, further=bool(state.accepted))
-    return replace(t, rejection=objection(judged))
+    judged = Judged(t.candidate, x[-1], gain, error, float(now.mean()), bool(state.accepted), context.settings)
+    return replace(t, x=x, losses=losses, gain=gain, gain_error=error, rejection=objection(judged))
 
 
 def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | None, list[Trial]]:

@@ -11,13 +11,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidates.fit import effects_of
 from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS, PARSIMONY, rough_fits
-from idapt_pl.diagnosis.rounds.gates import (
-    AT_THE_FLOOR,
-    CLEAR_GAIN,
-    beyond_its_kind,
-    too_small_a_change,
-    why_implausible,
-)
+from idapt_pl.diagnosis.rounds.gates import CLEAR_GAIN, Judged, beyond_its_kind, earns_its_place, why_implausible
 from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.replay import worse_replays
@@ -41,6 +35,8 @@ from idapt_pl.prediction.force_windows import judges_forces
 log = logging.getLogger(__name__)
 SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
+AT_THE_FLOOR = 1.05
+"""Mean held-out loss below which nothing is left that a rival could explain better."""
 PLACES_SCREENED = 4
 """So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
 FAR_WORSE = 1.5
@@ -181,16 +177,17 @@ def fitted_loss(context: SearchContext, state: SearchState) -> float:
 
 def does_without(context: SearchContext, state: SearchState, rest: SearchState, effect: AcceptedEffect) -> bool:
     """Whether a model does as well without one of its effects, the others refitted (``rest``)."""
-    s, held_out = context.settings, state.windows.held_out
+    settings, held_out = context.settings, state.windows.held_out
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
     gain, error = paired_gain(without, with_it, held_out.windows.episode)
-    by_forces = judges_forces(held_out)  # few instants tell of forces, replays nothing, and all joints have friction
-    share = s.relative_gain / (context.sim.model.nv if by_forces else 1)
-    if gain < max(share * float(without.mean()), 0.0 if by_forces else s.sureness * error):
+    by_forces = judges_forces(held_out)
+    if by_forces:  # few instants tell of forces, replays nothing, and all joints have friction
+        settings = replace(settings, sureness=0.0, relative_gain=settings.relative_gain / context.sim.model.nv)
+    further = effect is not state.accepted[0]
+    judged = Judged(effect.candidate, effect.x, gain, error, float(without.mean()), further, settings)
+    if not earns_its_place(judged):
         return True
-    if effect is not state.accepted[0] and too_small_a_change(effect.candidate, effect.x, gain, float(without.mean())):
-        return True
-    doubtful = s.plausible and not by_forces and gain < CLEAR_GAIN * float(without.mean())
+    doubtful = settings.plausible and not by_forces and gain < CLEAR_GAIN * judged.level
     return doubtful and worse_replays(context, state, rest)
 
 

@@ -18,8 +18,7 @@ class SearchSettings:
         refined: of these, refitted once more without shortcuts and judged on held-out episodes.
         fit_windows: windows for fits of what was accepted.
         held_out_windows: windows to judge on.
-        relative_gain: an effect must remove at least this share of the whole error (squared) ...
-        removable_gain: ... and of what is above the noise floor.
+        relative_gain: an effect must remove at least this share of the held-out error (squared).
         sureness: lower confidence bound of the held-out gain, in standard errors.
         z: of the score, in standard deviations under the null, family-wise.
         seconds: aim for no more than this on two cores.
@@ -40,7 +39,6 @@ class SearchSettings:
     fit_windows: int = 250
     held_out_windows: int = 250
     relative_gain: float = 0.02
-    removable_gain: float = 0.05
     sureness: float = 1.2
     z: float = 4.5
     seconds: float = 60.0
