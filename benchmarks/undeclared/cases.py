@@ -403,6 +403,10 @@ _add(
     hidden.joint_frictionloss("arm", 0.004),
     hidden.body_mass("pendulum", 0.085),
 )
+_add("hopper_knee_belt", HOPPER, hidden.shared_motor("thigh_joint", "leg_joint", 5.0, 1.5), numerics=SAME)
+_add("pusher_wrist", PUSHER, hidden.shared_motor("r_forearm_roll_joint", "r_wrist_flex_joint", 0.1, 0.1), numerics=SAME)
+_add("servo_elbow_belt", SERVO, hidden.shared_motor("shoulder", "elbow", 0.2, 0.1, -1.0), numerics=SAME)
+_add("dc_arm_knee_belt", DC_ARM, hidden.shared_motor("hip", "knee", 0.15, 0.05, 0.5))
 _add("control_toss_capsule", ROD)
 _add("control_dc_arm", DC_ARM)
 _add("control_rotary", ROTARY)

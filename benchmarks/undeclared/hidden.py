@@ -117,6 +117,19 @@ def joint_armature(joint: str, armature: float) -> Part:
     return Part(Truth("joint_armature", joint, "armature", armature), _joint(joint, armature=armature))
 
 
+def shared_motor(first: str, second: str, frictionloss: float, damping: float, ratio: float = 1.0) -> Part:
+    """Friction at a shaft that turns by the second joint's angle and ``ratio`` of the first one's."""
+
+    def edit(root: ET.Element) -> None:
+        tendons = root.find("tendon")
+        tendons = ET.SubElement(root, "tendon") if tendons is None else tendons
+        shaft = ET.SubElement(tendons, "fixed", frictionloss=str(frictionloss), damping=str(damping))
+        for joint, turns in ((first, ratio), (second, 1.0)):
+            ET.SubElement(shaft, "joint", joint=joint, coef=str(turns))
+
+    return Part(Truth("shared_motor", f"{first} {second}", "frictionloss", frictionloss), edit)
+
+
 def joint_stiffness(joint: str, stiffness: float) -> Part:
     """A spring at the joint."""
     return Part(Truth("joint_stiffness", joint, "stiffness", stiffness), _joint(joint, stiffness=stiffness))
