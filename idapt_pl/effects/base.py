@@ -41,6 +41,7 @@ class Effect(ABC):
         phrase: what it is called in a sentence. The target follows, unless that is the world; for all elements the
             last word becomes a plural.
         searched: whether a diagnosis looks for it in recorded motion. The docstring of one that is not says why.
+        told_anyway: parameters that a sentence gives though they were not estimated, as they say which effect it is.
         target: MJCF name of the element edited, or ``"*"`` for all elements of that kind; of joints also
             ``"actuated"``.
     """
@@ -48,6 +49,7 @@ class Effect(ABC):
     name: ClassVar[str] = ""
     phrase: ClassVar[str] = ""
     searched: ClassVar[bool] = True
+    told_anyway: ClassVar[tuple[str, ...]] = ()
     target: str
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

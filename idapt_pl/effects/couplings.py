@@ -31,6 +31,7 @@ class SharedMotor(Effect):
 
     name: ClassVar[str] = "shared_motor"
     phrase: ClassVar[str] = "friction and rotor of a motor shared by joints"
+    told_anyway: ClassVar[tuple[str, ...]] = ("ratio",)
     damping: float = parameter("N·m·s/rad or N·s/m", 0.0, 1e6, default=0.0)
     frictionloss: float = parameter("N·m or N", 0.0, 1e6, default=0.0)
     armature: float = parameter("kg·m² or kg", 0.0, 1e6, default=0.0)

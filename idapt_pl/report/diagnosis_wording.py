@@ -18,6 +18,7 @@ from idapt_pl.diagnosis.answer.result import (
     ParameterEstimate,
     Verdict,
 )
+from idapt_pl.effects.base import EFFECTS
 from idapt_pl.effects.learned import LearnedForce
 from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
 from idapt_pl.report.law_section import law_size
@@ -211,6 +212,8 @@ def effect_sentence(effect: EffectEstimate, model: mujoco.MjModel) -> str:
         words += f" (95 %: {interval})" if interval else ""
         words += f" instead of {nominal_in_words(p)}" if p.nominal not in (0, None, p.estimate) else ""
         parts.append(words)
+    anyway = EFFECTS[effect.key[0]].told_anyway if effect.key[0] in EFFECTS else ()
+    parts += [f"{name} {format_number(v)}" for name, v in effect.fixed.items() if name in anyway]
     return f"{phrase_at(*effect.key)}, {', '.join(parts)}"
 
 

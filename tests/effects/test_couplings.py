@@ -15,6 +15,7 @@ from idapt_pl.effects.couplings import SharedMotor
 from idapt_pl.effects.joints import JointDamping, JointFrictionloss
 from idapt_pl.effects.wording import phrase_at, unit_at
 from idapt_pl.effects.world import Numerics
+from idapt_pl.report.diagnosis_wording import verdict_in_words
 
 ARM = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -105,6 +106,8 @@ def test_a_shared_motor_is_found_and_its_size_measured(ratio):
     hidden = replace(HIDDEN, ratio=ratio)
     diagnosis = diagnose(arm(), recorded(arm(hidden)), laws=False)
     (found,) = [e for e in diagnosis.effects if not isinstance(e, Numerics)]
+    (told,) = verdict_in_words(diagnosis.result, diagnosis.sim.model)[:1]
+    assert "shared by joints elbow wrist" in told and "ratio" in told
     assert isinstance(found, SharedMotor)
     for name in ("damping", "frictionloss", "armature", "ratio"):
         assert getattr(found, name) == pytest.approx(getattr(hidden, name), rel=0.02), name
