@@ -20,7 +20,8 @@ from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.model_mend import mended_model
 from idapt_pl.effects.own_signals import first_activations
 from idapt_pl.prediction.data import measured_signals, slopes, steps_left_out
-from idapt_pl.prediction.simulator import STATE, silence_mujoco
+from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.simulator import silence_mujoco
 
 FORECAST_TIME = 0.06
 """Seconds that a forecast looks ahead, about: longer than a small delay, shorter than what errors of contacts need."""

@@ -19,7 +19,8 @@ from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.signals import SensorDelay
 from idapt_pl.effects.world import Numerics
 from idapt_pl.prediction.data import Windows
-from idapt_pl.prediction.simulator import STATE, Effects, Simulator
+from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.prediction.whitening import WhitenedWindows
 
 OF_NO_INSTANT = (SensingEffect, SensorDelay, JointBacklash, Numerics)
@@ -101,12 +102,8 @@ class MeasuredMotion:
 
 def measured_motion(sim: Simulator, instants: Windows) -> MeasuredMotion:
     """What was measured in control steps."""
-
-    def ends(name: str) -> tuple[np.ndarray, np.ndarray]:
-        pairs = [(getattr(sim.data[e], name), s) for e, s in zip(instants.episode, instants.start, strict=True)]
-        return np.stack([x[s] for x, s in pairs]), np.stack([x[s + 1] for x, s in pairs])
-
-    (t0, t1), (q0, q1), (v0, v1) = ends("time"), ends("qpos"), ends("qvel")
+    (q0, q1), (v0, v1) = (np.moveaxis(x, 1, 0) for x in sim.measured(instants, np.arange(2)))
+    t0, t1 = sim.times(instants).T
     qpos = 0.5 * (q0 + q1) if sim.model.nq == sim.model.nv else q0
     return MeasuredMotion(0.5 * (t0 + t1), qpos, 0.5 * (v0 + v1), (v1 - v0) / (t1 - t0)[:, None])
 

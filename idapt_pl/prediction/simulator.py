@@ -22,6 +22,7 @@ from idapt_pl.prediction.backlash import BacklashCoordinates
 from idapt_pl.prediction.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.prediction.held_commands import HeldCommands
 from idapt_pl.prediction.interpolation import interpolate_states
+from idapt_pl.prediction.inverse_dynamics import STATE, lacking_at_states
 from idapt_pl.prediction.law_history import LawsInWindows
 from idapt_pl.prediction.recent import RecentArrays
 
@@ -30,7 +31,6 @@ Motion = tuple[np.ndarray, np.ndarray]
 """Positions and velocities."""
 Sense = Callable[[np.ndarray, np.ndarray], Motion]
 """What a sensor makes of positions and velocities, or the other way round."""
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 COMMAND = mujoco.mjtState.mjSTATE_CTRL
 COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
 
@@ -182,7 +182,7 @@ class Simulator:
         """
         self.calls += 1
         model, data = self._ready(effects)
-        times, first = self._times(windows), self._start(effects, windows, nudge)
+        times, first = self.times(windows), self._start(effects, windows, nudge)
         steps = int(np.ceil((times[:, windows.offsets[-1]] - times[:, 0]).max() / model.opt.timestep - 1e-6))
         controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
         play = BacklashCoordinates(self.model, model)
@@ -193,7 +193,7 @@ class Simulator:
 
     def seen(self, effects: Effects, windows: Windows, states: np.ndarray) -> Motion:
         """What is measured at every sample of windows in which a model goes through states (n, steps + 1, size)."""
-        model, times = self.compile(effects), self._times(windows)
+        model, times = self.compile(effects), self.times(windows)
         ends = times[:, windows.offsets] - times[:, :1]
         qpos, qvel = BacklashCoordinates(self.model, model).contract(*interpolate_states(model, states, ends))
         for effect, joints in self._sensing(effects):
@@ -209,7 +209,7 @@ class Simulator:
         steps = max(1, round(self.control_period / model.opt.timestep))
         controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
         with silence_mujoco():
-            times = self._times(windows)[:, 0]
+            times = self.times(windows)[:, 0]
             states = self._roll(model, data, effects, times, *self._start(effects, windows), controls, windows)
         mean = states.mean(1)
         for adr, kind in zip(model.jnt_qposadr, model.jnt_type, strict=True):
@@ -237,24 +237,7 @@ class Simulator:
             self._applied(model, effects).add_to(applied, states)
             laws = LawsInWindows(model, self.model, effects, self.commands, windows)
             applied[:, : model.nv] += laws.forces(states, controls)
-        lacking, found = np.zeros((len(states), model.nv)), np.zeros((len(states), model.nv))
-        for i, state in enumerate(states):
-            mujoco.mj_setState(model, data, state, STATE)
-            data.ctrl[:], data.qfrc_applied[:] = controls[i], applied[i, : model.nv]
-            data.xfrc_applied[:] = applied[i, model.nv :].reshape(-1, 6)
-            if qacc is None:
-                mujoco.mj_forward(model, data)
-            else:
-                data.qacc[:] = qacc[i]
-            found[i] = data.qacc
-            mujoco.mj_inverse(model, data)
-            mujoco.mj_fwdActuation(model, data)
-            own = data.qfrc_actuator + data.qfrc_applied
-            for b in np.flatnonzero(data.xfrc_applied.any(1)):
-                wrench = data.xfrc_applied[b]
-                mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.xipos[b], b, own)
-            lacking[i] = data.qfrc_inverse - own
-        return lacking, found
+        return lacking_at_states(model, data, states, controls, applied, qacc)
 
     def _start(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> Motion:
         """True positions and velocities where windows begin, (n, nq) and (n, nv), as sensors with errors say."""
@@ -270,7 +253,8 @@ class Simulator:
         """Errors of sensors, with the joints that they are of."""
         return [(e, self._joints(self.model, e.target)) for e in effects if isinstance(e, SensingEffect)]
 
-    def _times(self, windows: Windows) -> np.ndarray:
+    def times(self, windows: Windows) -> np.ndarray:
+        """Times of the samples of every window, s, (n, samples)."""
         return self._of("time", windows, np.arange(windows.offsets[-1] + 1))
 
     def measured(self, windows: Windows, offsets: np.ndarray) -> Motion:
@@ -300,7 +284,7 @@ class Simulator:
         """
         before = np.minimum(windows.start, SETTLING_SAMPLES)
         early = Windows(windows.episode, windows.start - before, np.zeros(1, int))
-        per_sample = max(1, round(float(np.median(np.diff(self._times(windows)))) / model.opt.timestep))
+        per_sample = max(1, round(float(np.median(np.diff(self.times(windows)))) / model.opt.timestep))
         steps = int(before.max(initial=0)) * per_sample
         controls = self.commands.averaged(effects, early, steps, model.opt.timestep)
         loose = np.zeros((len(windows), 2, play.size))
