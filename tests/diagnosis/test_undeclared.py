@@ -3,6 +3,7 @@
 import ast
 import sys
 from dataclasses import replace
+from itertools import permutations
 
 import mujoco
 import numpy as np
@@ -58,6 +59,7 @@ def test_truth_answers_and_parts_of_a_case_fit_together(case):
         for kind, n in (("joint", known.njnt), ("body", known.nbody), ("actuator", known.nu), ("geom", known.ngeom))
         for i in range(n)
     } | {"*", "world"}
+    names |= {f"{known.joint(i).name} {known.joint(j).name}" for i, j in permutations(range(known.njnt), 2)}
     assert all(target in names for answer in case.accept for _, target in answer)
     assert all(truth.target in names for truth in case.truth)
 
