@@ -155,12 +155,18 @@ def last_rounds(rows: list[dict]) -> list[dict]:
     return [r for r in rows if (r["model"], r["hidden"], r["seed"], r.get("decision")) not in took]
 
 
+def gate_names(rows: list[dict]) -> list[str]:
+    """Of today's gates, and of those that rows of earlier versions name."""
+    return list(
+        dict.fromkeys([g.__name__ for g in GATES] + [name for r in rows for name in (r.get("gates") or "").split()])
+    )
+
+
 def sufficient(rows: list[dict]) -> list[tuple[str, int]]:
     """Gates, the most useful first, that together keep out all wrong candidates; with how many each adds."""
     left, found = [gates for gates, right in objected(rows) if not right], []
     while left:
-        names = [g.__name__ for g in GATES]
-        best = max(names, key=lambda name: sum(name in gates for gates in left))
+        best = max(gate_names(rows), key=lambda name: sum(name in gates for gates in left))
         found.append((best, sum(best in gates for gates in left)))
         left = [gates for gates in left if best not in gates]
     return found
@@ -176,7 +182,7 @@ def summarise(rows: list[dict]) -> str:
         "| gate | wrong effects that it does not let pass | alone | right ones | alone |",
         "|---|---|---|---|---|",
     ]
-    for gate in (g.__name__ for g in GATES):
+    for gate in gate_names(rows):
         wrong, right = ([gates for gates, is_right in every if is_right == wanted] for wanted in (False, True))
         counts = (sum(gate in gates for gates in wrong), sum(gates == {gate} for gates in wrong),
                   sum(gate in gates for gates in right), sum(gates == {gate} for gates in right))  # fmt: skip

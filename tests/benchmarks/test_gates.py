@@ -70,6 +70,12 @@ def test_gates_are_taken_until_all_wrong_ones_stay_out():
     assert sum(count for _, count in named) == 5
 
 
+def test_gates_that_are_gone_are_told_of_rows_of_earlier_versions():
+    rows = [CASE | {"gates": "once_asked", "right": 0, "chosen": 0, "decision": 1}]
+    assert sufficient(rows) == [("once_asked", 1)]
+    assert "| `once_asked` | 1 | 1 | 0 | 0 |" in summarise(rows).split("\n")
+
+
 def test_nothing_stays_patched():
     before = acceptance.objection, search.accept
     with pytest.raises(RuntimeError), watched(HIDDEN):

@@ -96,8 +96,9 @@ def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate
         held |= {"*", ACTUATED}  # one value for all would be that of the only joint left
     every = [c for kind in EFFECTS.values() for c in kind.candidates(model, typical)]
     names = [model.joint(j).name for j in range(model.njnt)]
-    of_held = [c for c in every if held.intersection((c.target, *names_in(c.target, names)))]
-    return in_order([c for c in every if c not in of_held or not c.kind.phrase.endswith(("joint", "joints"))])
+    on_joints = {c for c in every if c.kind.phrase.endswith(("joint", "joints"))}
+    of_held = {c for c in on_joints if held.intersection((c.target, *names_in(c.target, names)))}
+    return in_order([c for c in every if c not in of_held])
 
 
 def in_plausible_ranges(

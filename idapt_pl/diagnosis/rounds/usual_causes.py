@@ -62,14 +62,14 @@ def begin_with_usual_causes(context: SearchContext, state: SearchState) -> Searc
 
 def causes_at_joints(context: SearchContext, forces: ForceRegression) -> list[Cause]:
     """The usual causes of all joints, and motors that two joints share where these explain much more."""
-    nv = context.sim.model.nv
-    found = {v: forces.fit(own_causes(context, v)) for v in range(nv)}
+    found, shared = {v: forces.fit(own_causes(context, v)) for v in range(context.sim.model.nv)}, list[Cause]()
     for share, pair, together in sorted(shared_motors(context, forces, found), key=lambda x: x[0]):
-        if share < 1 - SHARED_EXPLAINS and all(v in found for v in pair):
+        if share < 1 - SHARED_EXPLAINS and found.keys() >= set(pair):
             log.info("%s: %.2g of the force (squared) is left", together[-1][0].label, share)
-            found[nv + pair[1]] = together
-            del found[pair[0]], found[pair[1]]
-    return [cause for of_joint in found.values() for cause in of_joint]
+            shared += together
+            for v in pair:
+                del found[v]
+    return [*(cause for of_joint in found.values() for cause in of_joint), *shared]
 
 
 def shared_motors(
