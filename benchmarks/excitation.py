@@ -4,11 +4,11 @@
     python benchmarks/excitation.py --cases pendulum_friction --seeds 0
     python benchmarks/excitation.py --summary         # the figures of what is there
 
-A first recording that shows too little is diagnosed. Then, up to three times: a motion is found, the hidden truth
-plays it twice (noise included), the two episodes join the recordings, one to fit and one to judge on, and all are
-diagnosed again. Motions of all methods have the same length and keep the same limits; those of the others are as large
-as these allow, and use the same explanations to be safe. Done is when the effects named and all that is equivalent to
-them are the truth or what no motion can tell from it. Writes results/excitation.csv; its cases are in
+A first recording that shows too little is diagnosed. Then, up to three times (``--most``), a motion is found, the
+hidden truth plays it twice (noise included), the two episodes join the recordings, one to fit and one to judge on, and
+all are diagnosed again. Motions of all methods have the same length and keep the same limits; those of the others are
+as large as these allow, and use the same explanations to be safe. Done is when the effects named and all that is
+equivalent to them are the truth or what no motion can tell from it. Writes results/excitation.csv; its cases are in
 benchmarks/excitation_cases.py.
 """
 
@@ -45,23 +45,21 @@ from idapt_pl.excitation.plan import MotionPlan, prepare_search
 from idapt_pl.excitation.rivals import LeftOpen, rival_of
 
 FIELDS = (
-    "case", "model", "seed", "method", "recordings", "first_found", "first_class", "found", "class", "separation",
-    "inseparable", "cpu_seconds", "commit",
+    "case", "model", "seed", "duration", "most", "method", "recordings", "first_found", "first_class", "found", "class",
+    "separation", "inseparable", "cpu_seconds", "commit",
 )  # fmt: skip
 METHODS = ("excite", "random", "chirp")
-MOST, DURATION, SECONDS = 3, 4.0, 8.0
+SECONDS = 8.0
 CANDIDATES = (
     "joint_damping", "joint_frictionloss", "joint_stribeck", "joint_armature", "joint_stiffness", "actuator_gain",
     "actuator_bias", "actuator_deadzone", "actuator_delay", "actuator_lag", "body_mass", "body_com", "payload",
     "sensor_gain", "sensor_bias", "gravity_direction", "fluid_drag",
 )  # fmt: skip
-"""What is considered: no shape of bodies and nothing that touches, to save time."""
+"""What is considered, and the kind that is hidden: no shape of bodies and nothing that touches, to save time."""
 OF_SERVOS = ("actuator_kp", "actuator_kv")
 """And for servos."""
 SETTINGS = SearchSettings(max_effects=2, numerics=False)
 """The true time step is the model's: it is not searched."""
-NEVER = MOST + 1
-"""Recordings that are written down where three were not enough."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +103,8 @@ def diagnosed(case: Confounded, first: list[Recording], new: list[Recording], se
     """Diagnose; of the first recordings the second is held out, of each new pair the second."""
     hold_out = [1, *range(len(first) + 1, len(first) + len(new), 2)]
     spec, data = mujoco.MjSpec.from_string(nominal_xml(case.model)), trajectories(case, [*first, *new])
-    names = (*CANDIDATES, *OF_SERVOS) if case.model == "servo_arm" else CANDIDATES
-    found = diagnose(spec, data, hold_out=hold_out, candidates=names, seed=seed, settings=SETTINGS, threads=1)
+    names = {*CANDIDATES, *(t.effect for t in case.world.truth), *(OF_SERVOS if case.model == "servo_arm" else ())}
+    found = diagnose(spec, data, hold_out=hold_out, candidates=sorted(names), seed=seed, settings=SETTINGS, threads=1)
     return Named.of(found.result)
 
 
@@ -145,7 +143,7 @@ def plain_motion(search: MotionSearch, method: str, rng: np.random.Generator) ->
 
 
 def next_motion(
-    case: Confounded, named: Named, method: str, seed: int, count: int
+    case: Confounded, named: Named, method: str, seed: int, count: int, duration: float
 ) -> tuple[np.ndarray, np.ndarray, int | str]:
     """Commands of the next recording, (T, nu), predicted separations, and how many pairs none separates (ours alone).
 
@@ -155,7 +153,7 @@ def next_motion(
     open_ones = left_open(case, named)
     model = open_ones.spec.copy().compile()
     limits = limits_of(model, {"*": case.position}, {"*": (0.0, case.velocity)})
-    plan = MotionPlan(limits, duration=DURATION, seconds=SECONDS, seed=1000 * seed + count, rivals=4)
+    plan = MotionPlan(limits, duration=duration, seconds=SECONDS, seed=1000 * seed + count, rivals=4)
     if method == "excite":
         search, evaluations, rivals = prepare_search(open_ones, plan, threads=1)
         if len(rivals) < 2:
@@ -167,14 +165,16 @@ def next_motion(
     return commands, search.criterion.after_refit(commands) if len(rivals) > 1 else np.zeros(0), ""
 
 
-def closed_loop(case: Confounded, seed: int, method: str, first: list[Recording], named: Named) -> dict:
-    """Record and diagnose until one effect is named."""
+def closed_loop(
+    case: Confounded, seed: int, method: str, first: list[Recording], named: Named, duration: float, most: int
+) -> dict:
+    """Record and diagnose until one effect is named; ``most`` + 1 recordings are written down where it never is."""
     started, rng = time.process_time(), np.random.default_rng([seed, 17])
     new: list[Recording] = []
-    needed, separations, hopeless = NEVER, "", ""
-    for count in range(1, MOST + 1):
+    needed, separations, hopeless = most + 1, "", ""
+    for count in range(1, most + 1):
         try:
-            commands, apart, none_can = next_motion(case, named, method, seed, count)
+            commands, apart, none_can = next_motion(case, named, method, seed, count, duration)
         except ImpossibleMotion as error:
             print("   ", method, error, flush=True)
             break
@@ -193,17 +193,17 @@ def closed_loop(case: Confounded, seed: int, method: str, first: list[Recording]
     }  # fmt: skip
 
 
-def rows_of(case: Confounded, seed: int, methods: list[str]) -> list[dict]:
+def rows_of(case: Confounded, seed: int, methods: list[str], duration: float, most: int) -> list[dict]:
     """All methods from the same first recording; one row alone where that was no problem."""
     first = first_episodes(replace(case.world, amplitude=case.amplitude, still=True), case.kinds, seed)
     named = diagnosed(case, first, [], seed)
     same = {
-        "case": case.name, "model": case.model, "seed": seed, "first_found": named.label(),
-        "first_class": named.members(), "commit": git_commit(),
+        "case": case.name, "model": case.model, "seed": seed, "duration": duration, "most": most,
+        "first_found": named.label(), "first_class": named.members(), "commit": git_commit(),
     }  # fmt: skip
-    if named.done(case) or not named.classes:
+    if named.done(case) or named.settled() or not named.classes:  # nobody would record anything to tell apart
         return [same | {"method": "none", "recordings": 0 if named.done(case) else ""}]
-    return [same | {"method": m} | closed_loop(case, seed, m, first, named) for m in methods]
+    return [same | {"method": m} | closed_loop(case, seed, m, first, named, duration, most) for m in methods]
 
 
 def hopeless(row: dict) -> bool:
@@ -211,21 +211,32 @@ def hopeless(row: dict) -> bool:
     return row["inseparable"] != "" and int(row["inseparable"]) == len(row["separation"].split())
 
 
+def place(row: dict) -> tuple:
+    """Where a row stands in the table."""
+    return row["model"], row["case"], int(row["seed"]), float(row["duration"])
+
+
+def never_named(row: dict) -> bool:
+    """Whether even the last recording was not enough."""
+    return int(row["recordings"]) > int(row["most"])
+
+
 def summarise(rows: list[dict], title: str) -> str:
-    """Recordings needed by each method."""
+    """Recordings needed by each method; a case that is never named counts as one more than the most."""
     lines = [f"--- {title}"]
     confounded = [r for r in rows if r["method"] != "none"]
     for method in METHODS:
         needed = np.array([int(r["recordings"]) for r in confounded if r["method"] == method])
         if len(needed):
             shares = ", ".join(f"within {k}: {np.mean(needed <= k):.2f}" for k in (1, 2, 3))
-            lines.append(f"{method:8s} n = {len(needed)}; mean (never counts {NEVER}) {needed.mean():.2f}; {shares}")
+            lines.append(f"{method:8s} n = {len(needed)}; in all {needed.sum()}; {shares}")
     said = [r for r in confounded if r["method"] == "excite" and hopeless(r)]
-    never = sum(int(r["recordings"]) == NEVER for r in said)
+    never = sum(map(never_named, said))
     lines.append(f"excite said that no safe motion tells any two apart: {len(said)}, of which {never} were never named")
     plain = [r for r in rows if r["method"] == "none"]
-    lines.append(f"not confounded at first: {sum(r['recordings'] != '' for r in plain)}; nothing found: "
-                 f"{sum(r['recordings'] == '' for r in plain)}")  # fmt: skip
+    wrong = sum(r["recordings"] == "" and r["first_found"] != "" for r in plain)
+    lines.append(f"not confounded at first: {sum(r['recordings'] != '' for r in plain)}; something else named alone: "
+                 f"{wrong}; nothing found: {sum(r['first_found'] == '' for r in plain)}")  # fmt: skip
     return "\n".join(lines)
 
 
@@ -235,16 +246,19 @@ def main() -> None:
     p.add_argument("--cases", nargs="+", choices=sorted(CONFOUNDED), default=list(CONFOUNDED), metavar="CASE")
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
     p.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    p.add_argument("--duration", type=float, default=4.0, help="of a recording, s (default 4)")
+    p.add_argument("--most", type=int, default=3, help="further recordings at most (default 3)")
     p.add_argument("--summary", action="store_true", help="only print what is there")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "excitation.csv")
     o = p.parse_args()
     for seed in o.seeds if not o.summary else []:
         for name in o.cases:
-            if any((r["case"], int(r["seed"])) == (name, seed) for r in read_rows(o.out)):
+            key = (name, seed, o.duration)
+            if any((r["case"], int(r["seed"]), float(r["duration"])) == key for r in read_rows(o.out)):
                 continue
-            made = rows_of(CONFOUNDED[name], seed, o.methods)
+            made = rows_of(CONFOUNDED[name], seed, o.methods, o.duration, o.most)
             rows = [*read_rows(o.out), *made]
-            write_rows(o.out, sorted(rows, key=lambda r: (r["model"], r["case"], int(r["seed"]))), FIELDS)
+            write_rows(o.out, sorted(rows, key=place), FIELDS)
             for r in made:
                 print({k: r.get(k, "") for k in FIELDS if k not in ("commit", "model")}, flush=True)
     rows = read_rows(o.out)

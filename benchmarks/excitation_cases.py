@@ -1,15 +1,16 @@
 """Confounded first recordings for benchmarks/excitation.py: what is hidden, and how little the first motion shows.
 
 The worlds and effects are made by benchmarks/undeclared. The first recordings are too small or too slow to tell what
-is missing; how small was chosen by looking at seed 0 of the pendulum and the servo arm.
+is missing; how small was chosen by looking at seed 0 of the pendulum and the servo arm. ``QUIET_ARMS`` are the arms of
+benchmarks/undeclared, each of whose single effects is recorded as quietly.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from benchmarks.undeclared import hidden
-from benchmarks.undeclared.cases import SAME, Case
+from benchmarks.undeclared.cases import CASES, SAME, Case
 from benchmarks.undeclared.hidden import Part
 from benchmarks.undeclared.models import MODELS, Model, Noise
 
@@ -155,3 +156,23 @@ _add("two_link_elbow_armature", T, hidden.joint_armature("elbow", 0.01), 0.5)
 _add("two_link_elbow_gain", T, hidden.motor_gain("elbow", 0.85), 0.5)
 _add("two_link_lower_mass", T, hidden.body_mass("lower", 0.46), 0.5, (("body_inertia", "lower"),))
 _add("two_link_tilt", T, hidden.tilt(tilt_y=0.05), 0.5)
+
+QUIET_ARMS = ("servo_arm", "reacher", "pusher", "dc_arm")
+"""Of these, every single effect that is not above; not cogging, which nobody looks for within a fraction of a turn."""
+LIMITS |= {"reacher": ((-0.5, 0.5), 1.5), "pusher": ((-0.5, 0.5), 1.0), "dc_arm": ((-0.5, 0.5), 1.5)}
+
+
+def _add_recorded_quietly(world: Case) -> None:
+    """Register a case of benchmarks/undeclared, unless it is there by another name."""
+    effect, target = world.truth[0].effect, world.truth[0].target
+    same = {"joint_frictionloss": _dry(target), "joint_damping": _rubbing(target, target)}.get(effect, ())
+    answers = frozenset({(effect, target), *same}).union(*world.accept)
+    known = any(c.model == world.model and (effect, target) in c.answers for c in CONFOUNDED.values())
+    if effect != "joint_cogging" and not known:
+        world = replace(world, numerics=SAME)
+        CONFOUNDED[world.name] = Confounded(world.name, world, 0.25, QUIET, *LIMITS[world.model], answers)
+
+
+for _world in CASES.values():
+    if _world.model in QUIET_ARMS and len(_world.truth) == 1 and _world.accept and _world.amplitude == 1:
+        _add_recorded_quietly(_world)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -12,8 +13,14 @@ from idapt_pl.effects.wording import format_number, phrase_at
 from idapt_pl.excitation.design import SEPARATED, Goal, MotionDesign
 from idapt_pl.excitation.rivals import Rival
 
-DECISIVE = 15.0
-"""Standard deviations from which a diagnosis decides on one recording; below, it may take two."""
+DECISIVE = 6.6
+"""Standard deviations over all plays at which nine of ten diagnoses decide.
+
+Losses of two explanations that are D apart differ by D² ± 2 D; what is worse by two errors is no longer considered.
+"""
+
+FEWEST_PLAYS = 2
+"""One to fit, one to judge on."""
 
 
 def motion_headline(design: MotionDesign, goal: Goal) -> str:
@@ -46,10 +53,11 @@ def unseen_in_words(design: MotionDesign, found: Rival) -> list[str]:
 def pair_in_words(first: Rival, second: Rival, apart: float, reachable: float) -> str:
     """What becomes of one pair."""
     pair = f"{first.name} from {second.name}"
-    if apart >= DECISIVE:
-        return f"It tells {pair}: {format_number(apart)} standard deviations apart."
     if apart >= SEPARATED:
-        return f"It tells {pair} just so ({format_number(apart)} standard deviations): play it several times."
+        plays = plays_needed(first, second, apart)
+        if plays <= FEWEST_PLAYS:
+            return f"It tells {pair}: {format_number(apart)} standard deviations apart."
+        return f"It tells {pair} just so ({format_number(apart)} standard deviations): play it {plays} times."
     if reachable >= SEPARATED:
         return (
             f"It does not tell {pair} ({format_number(apart)}); another motion would ({format_number(reachable)}), "
@@ -59,12 +67,25 @@ def pair_in_words(first: Rival, second: Rival, apart: float, reachable: float) -
     return best + nested_in_words(first, second)
 
 
+def plays_needed(first: Rival, second: Rival, apart: float) -> int:
+    """How often to play a motion that drives two explanations ``apart`` [standard deviations].
+
+    A diagnosis judges those with as many parameters by all plays, others by the half that nothing is fitted to.
+    """
+    parts = 1 if parameters(first) == parameters(second) else 2
+    return max(FEWEST_PLAYS, parts * math.ceil((DECISIVE / apart) ** 2))
+
+
+def parameters(rival: Rival) -> int:
+    """How many an explanation has."""
+    return sum(c.size for c in rival.candidates)
+
+
 def nested_in_words(first: Rival, second: Rival) -> str:
     """That one explanation has more parameters than the other, if it has."""
-    sizes = [sum(c.size for c in r.candidates) for r in (first, second)]
-    if sizes[0] == sizes[1]:
+    if parameters(first) == parameters(second):
         return ""
-    larger, smaller = (first, second) if sizes[0] > sizes[1] else (second, first)
+    smaller, larger = sorted((first, second), key=parameters)
     return f" With its further parameters {larger.name} may do all that {smaller.name} does; prefer the simpler one."
 
 

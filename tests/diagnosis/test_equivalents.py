@@ -59,6 +59,32 @@ def test_what_does_as_well_still_could_be_it_with_the_values_of_now(state, left)
     assert equal.held_out == pytest.approx(left, abs=0.01) and [t.candidate for t in first.rivals] == [FRICTION]
 
 
+def in_fitted_windows_alone(state, left):
+    """The state with other windows to fit to, and a search in which armature leaves so much there, else as much."""
+    fit = WhitenedWindows(state.windows.held_out.windows, np.zeros((N, 1, 1)))
+    apart = replace(state, windows=SimpleNamespace(held_out=state.windows.held_out, screen=fit, fit=fit))
+    same, fitted = context(1.0), context(left)
+    return apart, SimpleNamespace(
+        loss=lambda split, effects: (fitted if split is fit else same).loss(split, effects), fit=same.fit
+    )
+
+
+def test_what_is_clearly_worse_in_the_windows_it_is_fitted_to_is_a_mere_rival(state):
+    apart, search = in_fitted_windows_alone(state, 1.5)
+    first, _ = with_equivalents_of_now(search, apart).accepted
+    assert first.equivalent == () and [t.candidate for t in first.rivals] == [ARMATURE, FRICTION]
+    apart, search = in_fitted_windows_alone(state, 1.0)
+    assert with_equivalents_of_now(search, apart).accepted[0].equivalent
+
+
+def test_another_number_of_parameters_is_judged_by_what_it_was_not_fitted_to_alone(state):
+    two = Candidate(JointArmature, "a", ("armature", "armature"), (0.0, 0.0), (0.1, 0.1))
+    trial = Trial(two, 0, 10.0, (np.array([0.2, 0.2]),), losses=np.ones(N))
+    apart, search = in_fitted_windows_alone(state, 1.5)
+    apart = replace(apart, accepted=(replace(apart.accepted[0], equivalent=(trial,)), apart.accepted[1]))
+    assert [t.candidate for t in with_equivalents_of_now(search, apart).accepted[0].equivalent] == [two]
+
+
 def test_what_was_accepted_meanwhile_is_no_equivalent(state):
     both = replace(state, accepted=(state.accepted[0], replace(state.accepted[1], candidate=ARMATURE)))
     assert with_equivalents_of_now(context(1.0), both).accepted[0].equivalent == ()

@@ -14,7 +14,13 @@ from idapt_pl.excitation.design import Goal
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.plan import design_motion, holding_commands, read_base, start_pose
 from idapt_pl.excitation.report import information_rows
-from idapt_pl.excitation.wording import inseparable_groups, motion_headline, motion_in_words
+from idapt_pl.excitation.wording import (
+    inseparable_groups,
+    motion_headline,
+    motion_in_words,
+    pair_in_words,
+    plays_needed,
+)
 
 
 def designed(*explanations, xml=SERVO, **settings):
@@ -49,6 +55,15 @@ def test_twins_are_said_to_be_inseparable():
     assert motion_in_words(design, rivals, Goal.SEPARATE)[0].startswith("No safe motion found tells offset")
     assert inseparable_groups(design, rivals) == [[r.name for r in rivals]]
     assert motion_headline(design, Goal.SEPARATE).startswith("No safe motion")
+
+
+def test_what_is_told_apart_just_so_is_played_more_often_and_most_where_half_of_the_plays_count():
+    one, same = (SimpleNamespace(name=n, candidates=[SimpleNamespace(size=1)]) for n in "ab")
+    larger = SimpleNamespace(name="c", candidates=[SimpleNamespace(size=3)])
+    assert [plays_needed(one, same, d) for d in (3.0, 4.0, 5.0, 40.0)] == [5, 3, 2, 2]
+    assert [plays_needed(one, larger, d) for d in (3.0, 4.0, 5.0, 40.0)] == [10, 6, 4, 2]
+    assert pair_in_words(one, same, 3.0, 3.0).endswith("just so (3 standard deviations): play it 5 times.")
+    assert pair_in_words(one, same, 40.0, 40.0) == "It tells a from b: 40 standard deviations apart."
 
 
 def test_only_those_are_a_group_of_which_no_two_are_told_apart():

@@ -27,7 +27,7 @@ def judged_again(context: SearchContext, state: SearchState, effect: AcceptedEff
     others = [t for t in effect.equivalent if not is_accepted(t, state)]
     fitted = [fitted_instead(context, state, effect, t) for t in others]
     episodes = state.windows.held_out.windows.episode
-    equal = tuple(t for t in fitted if not clearly_worse(t, now, episodes))
+    equal = tuple(t for t in fitted if not (clearly_worse(t, now, episodes) or worse_in_all(context, state, effect, t)))
     behind = tuple(t for t in fitted if t not in equal)
     rivals = (t for t in effect.rivals if not any(is_same(t, f) for f in fitted))
     return replace(effect, equivalent=equal, rivals=(*behind, *rivals))
@@ -37,6 +37,21 @@ def clearly_worse(t: Trial, now: np.ndarray, episodes: np.ndarray) -> bool:
     """Whether a trial leaves clearly more than what was found; ``now``: losses of that, (n,), in windows of these."""
     assert t.losses is not None, "what was fitted was judged"
     return t.held_out > now.mean() and not no_clear_difference(now, t.losses, episodes)
+
+
+def worse_in_all(context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial) -> bool:
+    """Whether a trial leaves clearly more in all windows, those that it is fitted to among them.
+
+    What a fit explains of the noise is the same for as many parameters, so none is judged by another number of them.
+    """
+    if trial.candidate.size != effect.candidate.size:
+        return False
+    windows, instead = state.windows, with_rival(state, effect, trial.candidate, trial.x)
+    fitted = instead.with_estimates(context.fit(windows.fit, state.fixed, instead.candidates, instead.estimates, 2).x)
+    parts = (windows.fit, windows.held_out)
+    now, other = (np.concatenate([context.loss(w, s.effects) for w in parts]) for s in (state, fitted))
+    episodes = np.concatenate([w.windows.episode for w in parts])
+    return other.mean() > now.mean() and not no_clear_difference(now, other, episodes)
 
 
 def fitted_instead(context: SearchContext, state: SearchState, effect: AcceptedEffect, trial: Trial) -> Trial:
