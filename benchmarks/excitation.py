@@ -7,9 +7,11 @@
 A first recording that shows too little is diagnosed. Then, up to three times (``--most``), a motion is found, the
 hidden truth plays it twice (noise included), the two episodes join the recordings, one to fit and one to judge on, and
 all are diagnosed again. Motions of all methods have the same length and keep the same limits; those of the others are
-as large as these allow, and use the same explanations to be safe. Done is when the effects named and all that is
-equivalent to them are the truth or what no motion can tell from it. Writes results/excitation.csv; its cases are in
-benchmarks/excitation_cases.py.
+as large as these allow, and use the same explanations to be safe.
+
+Outcomes: ``named``, one effect, with nothing beside it but what no motion can tell from it; ``inseparable``, `idapt
+excite` says that no safe motion tells the truth and what else it could be apart; ``wrong``, something else is named
+alone; ``open``, none of these. Writes results/excitation.csv; its cases are in benchmarks/excitation_cases.py.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import argparse
 import json
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,15 +41,15 @@ from idapt_pl.diagnosis.answer.explanation import Explanation, Measurement
 from idapt_pl.diagnosis.answer.result import DiagnosisResult
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.state.settings import SearchSettings
-from idapt_pl.excitation.design import MotionSearch
+from idapt_pl.excitation.design import SEPARATED, MotionSearch
 from idapt_pl.excitation.limits import ImpossibleMotion, limits_of
 from idapt_pl.excitation.motion import FourierMotion
 from idapt_pl.excitation.plan import MotionPlan, prepare_search
 from idapt_pl.excitation.rivals import LeftOpen, rival_of
 
 FIELDS = (
-    "case", "model", "seed", "duration", "most", "method", "recordings", "first_found", "first_class", "found", "class",
-    "separation", "inseparable", "cpu_seconds", "commit",
+    "case", "model", "seed", "duration", "most", "method", "outcome", "recordings", "first_found", "first_class",
+    "found", "class", "separation", "cpu_seconds", "commit",
 )  # fmt: skip
 METHODS = ("excite", "random", "chirp")
 SECONDS = 8.0
@@ -78,6 +81,10 @@ class Named:
     def done(self, case: Confounded) -> bool:
         """Whether it is the truth, or what no motion can tell from it."""
         return len(self.classes) == 1 and self.classes[0] <= case.answers
+
+    def holds(self, case: Confounded) -> bool:
+        """Whether one thing is named, and the truth is among what it could be."""
+        return len(self.classes) == 1 and bool(self.classes[0] & case.answers)
 
     def settled(self) -> bool:
         """Whether a user would stop here: effects are named, and each stands alone."""
@@ -142,54 +149,63 @@ def plain_motion(search: MotionSearch, method: str, rng: np.random.Generator) ->
     return search.made_safe(x[0])[0][0]
 
 
-def next_motion(
-    case: Confounded, named: Named, method: str, seed: int, count: int, duration: float
-) -> tuple[np.ndarray, np.ndarray, int | str]:
-    """Commands of the next recording, (T, nu), predicted separations, and how many pairs none separates (ours alone).
+@dataclass(frozen=True)
+class Motion:
+    """The next recording: commands (T, nu), how far they drive every pair of explanations apart, and whether it is said
+    that no safe motion tells what was found from any other.
+    """
+
+    commands: np.ndarray
+    separations: np.ndarray
+    hopeless: bool = False
+
+
+def next_motion(case: Confounded, named: Named, method: str, seed: int, count: int, duration: float) -> Motion:
+    """The motion of a method; ``excite`` alone says that none helps.
 
     Raises:
-        ImpossibleMotion: one explanation is left, or no motion is safe.
+        ImpossibleMotion: no motion is safe.
     """
     open_ones = left_open(case, named)
     model = open_ones.spec.copy().compile()
     limits = limits_of(model, {"*": case.position}, {"*": (0.0, case.velocity)})
     plan = MotionPlan(limits, duration=duration, seconds=SECONDS, seed=1000 * seed + count, rivals=4)
+    search, evaluations, rivals = prepare_search(open_ones, plan, threads=1)
     if method == "excite":
-        search, evaluations, rivals = prepare_search(open_ones, plan, threads=1)
-        if len(rivals) < 2:
-            raise ImpossibleMotion("one explanation alone is left")
         design = search.run(evaluations)
-        return design.commands, design.separations, int((design.reachable < 3).sum())
-    search, _, rivals = prepare_search(open_ones, plan, threads=1)
+        return Motion(
+            design.commands, design.separations, bool((design.reachable[: len(rivals) - 1] < SEPARATED).all())
+        )
     commands = plain_motion(search, method, np.random.default_rng([seed, count]))
-    return commands, search.criterion.after_refit(commands) if len(rivals) > 1 else np.zeros(0), ""
+    return Motion(commands, search.criterion.after_refit(commands))
 
 
 def closed_loop(
     case: Confounded, seed: int, method: str, first: list[Recording], named: Named, duration: float, most: int
 ) -> dict:
-    """Record and diagnose until one effect is named; ``most`` + 1 recordings are written down where it never is."""
+    """Record and diagnose until one effect is named, or none of what is left can be told apart."""
     started, rng = time.process_time(), np.random.default_rng([seed, 17])
     new: list[Recording] = []
-    needed, separations, hopeless = most + 1, "", ""
-    for count in range(1, most + 1):
+    outcome, separations = "open", list[str]()
+    while outcome == "open" and len(new) < 2 * most:
         try:
-            commands, apart, none_can = next_motion(case, named, method, seed, count, duration)
+            motion = next_motion(case, named, method, seed, 1 + len(new) // 2, duration)
         except ImpossibleMotion as error:
             print("   ", method, error, flush=True)
             break
-        if count == 1:
-            separations, hopeless = " ".join(f"{d:.3g}" for d in apart), none_can
-        new += [replay(case.world, commands, rng, np.array(case.start)) for _ in range(2)]
+        separations.append(" ".join(f"{d:.3g}" for d in motion.separations))
+        if motion.hopeless:
+            outcome = "inseparable" if named.holds(case) else "wrong"
+            break
+        new += [replay(case.world, motion.commands, rng, np.array(case.start)) for _ in range(2)]
         named = diagnosed(case, first, new, seed)
         if named.done(case):
-            needed = count
-            break
-        if named.settled() or not named.classes:
-            break
+            outcome = "named"
+        elif named.settled() or not named.classes:
+            outcome = "wrong"
     return {
-        "recordings": needed, "found": named.label(), "class": named.members(), "separation": separations,
-        "inseparable": hopeless, "cpu_seconds": round(time.process_time() - started, 1),
+        "outcome": outcome, "recordings": len(new) // 2, "found": named.label(), "class": named.members(),
+        "separation": separations[0] if separations else "", "cpu_seconds": round(time.process_time() - started, 1),
     }  # fmt: skip
 
 
@@ -202,13 +218,9 @@ def rows_of(case: Confounded, seed: int, methods: list[str], duration: float, mo
         "first_found": named.label(), "first_class": named.members(), "commit": git_commit(),
     }  # fmt: skip
     if named.done(case) or named.settled() or not named.classes:  # nobody would record anything to tell apart
-        return [same | {"method": "none", "recordings": 0 if named.done(case) else ""}]
+        outcome = "named" if named.done(case) else "wrong" if named.classes else "nothing"
+        return [same | {"method": "none", "outcome": outcome, "recordings": 0}]
     return [same | {"method": m} | closed_loop(case, seed, m, first, named, duration, most) for m in methods]
-
-
-def hopeless(row: dict) -> bool:
-    """Whether the search said beforehand that no safe motion tells any two of its explanations apart."""
-    return row["inseparable"] != "" and int(row["inseparable"]) == len(row["separation"].split())
 
 
 def place(row: dict) -> tuple:
@@ -216,28 +228,21 @@ def place(row: dict) -> tuple:
     return row["model"], row["case"], int(row["seed"]), float(row["duration"])
 
 
-def never_named(row: dict) -> bool:
-    """Whether even the last recording was not enough."""
-    return int(row["recordings"]) > int(row["most"])
-
-
 def summarise(rows: list[dict], title: str) -> str:
-    """Recordings needed by each method; a case that is never named counts as one more than the most."""
-    lines = [f"--- {title}"]
-    confounded = [r for r in rows if r["method"] != "none"]
+    """How often, and after how many recordings, each method came to one effect."""
+    at_once, confounded = ([r for r in rows if (r["method"] == "none") is alone] for alone in (True, False))
+    lines = [f"--- {title}; first recordings: {tally(at_once)}; confounded {len(confounded) // len(METHODS)}"]
     for method in METHODS:
-        needed = np.array([int(r["recordings"]) for r in confounded if r["method"] == method])
-        if len(needed):
-            shares = ", ".join(f"within {k}: {np.mean(needed <= k):.2f}" for k in (1, 2, 3))
-            lines.append(f"{method:8s} n = {len(needed)}; in all {needed.sum()}; {shares}")
-    said = [r for r in confounded if r["method"] == "excite" and hopeless(r)]
-    never = sum(map(never_named, said))
-    lines.append(f"excite said that no safe motion tells any two apart: {len(said)}, of which {never} were never named")
-    plain = [r for r in rows if r["method"] == "none"]
-    wrong = sum(r["recordings"] == "" and r["first_found"] != "" for r in plain)
-    lines.append(f"not confounded at first: {sum(r['recordings'] != '' for r in plain)}; something else named alone: "
-                 f"{wrong}; nothing found: {sum(r['first_found'] == '' for r in plain)}")  # fmt: skip
+        mine = [r for r in confounded if r["method"] == method]
+        needed = np.array([int(r["recordings"]) for r in mine if r["outcome"] == "named"])
+        within = ", ".join(f"within {k}: {(needed <= k).sum()}" for k in (1, 2, 3))
+        lines.append(f"{method:8s} {tally(mine)}; named {within}")
     return "\n".join(lines)
+
+
+def tally(rows: list[dict]) -> str:
+    """How many rows have each outcome."""
+    return ", ".join(f"{name} {n}" for name, n in sorted(Counter(r["outcome"] for r in rows).items())) or "none"
 
 
 def main() -> None:

@@ -144,7 +144,7 @@ _add("pendulum_friction", P, hidden.joint_frictionloss("hinge", 0.05), 0.5, _dry
 _add("pendulum_damping", P, hidden.joint_damping("hinge", 0.06), 0.5, _VISCOUS)
 _add("pendulum_armature", P, hidden.joint_armature("hinge", 0.012), 0.5, (("joint_armature", "*"),))
 _add("pendulum_gain", P, hidden.motor_gain("drive", 0.85), 0.5, (("actuator_gain", "*"),))
-_add("pendulum_bias", P, hidden.command_bias("drive", 0.05), 0.5, (("actuator_bias", "*"),))
+_add("pendulum_bias", P, hidden.command_bias("drive", 0.025), 0.5, (("actuator_bias", "*"),))
 _add("pendulum_cable", P, hidden.joint_stiffness("hinge", 0.15), 0.5, (("joint_stiffness", "*"),))
 _add("pendulum_deadzone", P, hidden.deadzone("drive", 0.05), 0.5, (("actuator_deadzone", "*"),))
 _add("servo_elbow_friction", S, hidden.joint_frictionloss("elbow", 0.3), 0.25, _dry("elbow"))
@@ -155,7 +155,8 @@ _add("two_link_shoulder_damping", T, hidden.joint_damping("shoulder", 0.2), 0.5,
 _add("two_link_elbow_armature", T, hidden.joint_armature("elbow", 0.01), 0.5)
 _add("two_link_elbow_gain", T, hidden.motor_gain("elbow", 0.85), 0.5)
 _add("two_link_lower_mass", T, hidden.body_mass("lower", 0.46), 0.5, (("body_inertia", "lower"),))
-_add("two_link_tilt", T, hidden.tilt(tilt_y=0.05), 0.5)
+_TURNED = (("sensor_bias", "shoulder"),)  # in a plane a tilted base is the same as another zero of the first joint
+_add("two_link_tilt", T, hidden.tilt(tilt_y=0.05), 0.5, _TURNED)
 
 QUIET_ARMS = ("servo_arm", "reacher", "pusher", "dc_arm")
 """Of these, every single effect that is not above; not cogging, which nobody looks for within a fraction of a turn."""

@@ -5,6 +5,7 @@
     python benchmarks/tables.py cheetah   # every run of HalfCheetah, version by version; likewise the other tasks
     python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
     python benchmarks/tables.py cost      # what diagnoses simulate
+    python benchmarks/tables.py own       # sources and targets of others
 
 ``python benchmarks/figures.py`` writes them into the pages. The benchmarks import what reads and writes the CSV files.
 """
@@ -213,12 +214,26 @@ def search_cost(results: Path = RESULTS) -> str:
     return markdown(titles, lines)
 
 
+def own_worlds(results: Path = RESULTS) -> str:
+    """A row for each pair of a source and a target that nobody here wrote, and each of its versions."""
+    rows, lines = read_rows(results / "own_targets.csv"), []
+    for task, target, run in dict.fromkeys((r["task"], r["target"], r["run"]) for r in rows if r["run"] != "oracle"):
+        mine = chosen(rows, {"task": task, "target": target, "run": run})
+        oracles = [float(r["mean"]) for r in chosen(rows, {"task": task, "target": target, "run": "oracle"})]
+        seeds, most = " ".join(dict.fromkeys(r["seed"] for r in mine)), max(int(r["target_interactions"]) for r in mine)
+        told = [mean_and_interval(values) for values in (*by_stage(mine), oracles)]
+        lines.append((f"`{task.split(':')[-1]}`", target, run, seeds, f"{most:,}", *told, versions(mine)))
+    titles = ("source", "target", "run", "seeds", "target steps")
+    return markdown((*titles, "direct transfer", "step 0", "last step", "oracle", "commits"), lines)
+
+
 TABLES: Mapping[str, Callable[[Path], str]] = {
     "hard": summary,
     "easy": functools.partial(summary, size="easy"),
     "quick": functools.partial(summary, size="quick"),
     "kept": kept,
     "cost": search_cost,
+    "own": own_worlds,
     **{name: functools.partial(every_run, name=name) for _, name, _ in SHOWN},
 }
 """Tables of the pages, by the names that ``benchmarks/figures.py`` finds there."""

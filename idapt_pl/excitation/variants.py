@@ -10,6 +10,7 @@ from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import mechanical_joints, moved_bodies, named_actuators
 from idapt_pl.effects.joints import JointDamping, JointFrictionloss
+from idapt_pl.effects.world import Numerics
 from idapt_pl.prediction.simulator import Effects
 
 FRICTION_SPREAD, MASS, STRENGTH = 0.3, 0.1, 0.1
@@ -42,4 +43,6 @@ def varied(model: mujoco.MjModel, effects: Effects, rng: np.random.Generator) ->
         if i not in motors:
             kind = ActuatorKp if i in position else ActuatorGain
             changed.append(kind(name, about(1.0, STRENGTH)))
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:  # explicit in damping, so more of it may blow up
+        changed.append(Numerics("world", float(model.opt.timestep), "implicitfast"))
     return (*effects, *changed)

@@ -45,6 +45,17 @@ def test_a_config_that_another_begins_with_has_its_first_steps(tmp_path):
     assert line == "| `walker_quick`, return | 1 | 5,000 | 1 | 2 | 3 | 10 | 1930 |"
 
 
+def test_each_version_of_a_pair_of_worlds_has_a_row_beside_its_target_s_oracle(tmp_path):
+    measured = [("IDAPT", 0, "", 1), ("IDAPT", 0, 0, 2), ("IDAPT", 0, 1, 3), ("IDAPT", 1, "", 5), ("IDAPT", 1, 0, 6),
+                ("IDAPT", 1, 2, 7), ("first", 2, "", 8), ("first", 2, 0, 9), ("oracle", 0, "", 10)]  # fmt: skip
+    rows = [f"lab:Arm,Bench,{run},{run},{seed},{k},{mean},5000,abcdef012" for run, seed, k, mean in measured]
+    head = "task,target,run,method,seed,grounding_step,mean,target_interactions,commit"
+    (tmp_path / "own_targets.csv").write_text("\n".join([head, *rows, ""]))
+    now, first = tables.own_worlds(tmp_path).splitlines()[2:]
+    assert now == "| `Arm` | Bench | IDAPT | 0 1 | 5,000 | 1, 5 | 2, 6 | 3, 7 | 10 | abcdef0 |"
+    assert first == "| `Arm` | Bench | first | 2 | 5,000 | 8 | 9 |  | 10 | abcdef0 |"
+
+
 @pytest.mark.parametrize("name", tables.FIRST_STEPS)
 def test_such_configs_differ_in_the_number_of_steps_alone(name):
     longer, steps, interactions = tables.FIRST_STEPS[name]
