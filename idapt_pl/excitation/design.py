@@ -21,8 +21,11 @@ from idapt_pl.excitation.variants import varied
 POPULATION = 16
 """Motions that are simulated together."""
 
-SEPARATED = 3.0
-"""Standard deviations from which two explanations count as told apart."""
+SEPARATED = 1.5
+"""Standard deviations of one play from which two explanations count as told apart: twenty plays do it then."""
+
+HALF_WORTH = 3.0
+"""Standard deviations that are worth half; pairs below get a search of their own."""
 
 VARIANTS = 3
 """Models with other friction, masses and strengths in which a motion must be safe, for every explanation."""
@@ -131,7 +134,7 @@ class MotionSearch:
     def worth(self, score: Score) -> np.ndarray:
         """What safe motions are worth, (n,), above 0."""
         if self.goal is Goal.SEPARATE:
-            return (score.separations / (score.separations + SEPARATED)).mean(1)
+            return (score.separations / (score.separations + HALF_WORTH)).mean(1)
         if self.goal is Goal.ESTIMATE_EACH:
             return np.array([narrowness(F) for F in score.information])
         F = score.information + 1e-9 * np.eye(score.information.shape[-1])
@@ -238,7 +241,7 @@ class MotionSearch:
 
     def try_hard_pairs(self, best: Best, n: int) -> Best:
         """Search once more for each pair that nothing has told apart; take what it finds if it is better in all."""
-        hard = np.flatnonzero(self.reachable < SEPARATED)
+        hard = np.flatnonzero(self.reachable < HALF_WORTH)
         for i, pair in enumerate(hard):
             span = (0.75 + 0.15 * i / len(hard), 0.75 + 0.15 * (i + 1) / len(hard))
             found = self.refined(

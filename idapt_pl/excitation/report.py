@@ -20,7 +20,7 @@ from idapt_pl.excitation.limits import servo_dof
 from idapt_pl.excitation.page import motion_page
 from idapt_pl.excitation.plan import MotionPlan
 from idapt_pl.excitation.rivals import LeftOpen, Rival
-from idapt_pl.excitation.wording import inseparable_groups, motion_in_words
+from idapt_pl.excitation.wording import inseparable_groups, motion_in_words, plays_needed
 from idapt_pl.files import write_bytes, write_json
 
 MOTION_SCHEMA = "idapt.excitation/1"
@@ -102,7 +102,7 @@ def motion_entry(
     """The content of the JSON file."""
     pairs = [
         {"first": a.name, "second": b.name, "separation": four_digits(d), "best_separation": four_digits(best),
-         "told_apart": bool(d >= SEPARATED)}
+         "told_apart": bool(d >= SEPARATED), "plays": plays_needed(a, b, d) if d >= SEPARATED else None}
         for (a, b), d, best in zip(combinations(rivals, 2), design.separations, design.reachable, strict=True)
     ]  # fmt: skip
     return {

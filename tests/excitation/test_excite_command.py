@@ -38,7 +38,8 @@ def test_the_json_says_what_is_told_apart_and_within_which_limits(written):
     entry = json.loads((written / "next.json").read_text())
     assert entry["schema"] == "idapt.excitation/1" and entry["inseparable"] == []
     (pair,) = entry["pairs"]
-    assert pair["told_apart"] and pair["separation"] > entry["threshold"] == 3
+    assert pair["told_apart"] and pair["separation"] > entry["threshold"] == 1.5
+    assert pair["plays"] == 2, "one to fit, one to judge on"
     assert entry["limits"]["position"] == {"shoulder": [-0.6, 0.6]} and entry["limits"]["velocity"] == {"shoulder": 3.0}
     assert all(m["room"] >= 0 for m in entry["margins"])
     (damping,) = entry["parameters"]
