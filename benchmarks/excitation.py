@@ -59,8 +59,10 @@ CANDIDATES = (
     "sensor_gain", "sensor_bias", "gravity_direction", "fluid_drag",
 )  # fmt: skip
 """What is considered, and the kind that is hidden: no shape of bodies and nothing that touches, to save time."""
-OF_SERVOS = ("actuator_kp", "actuator_kv")
+OWN = {"servo_arm": {"actuator_kp", "actuator_kv"}}
 """And for servos."""
+NOTHING_FOR = {"pusher": {"gravity_direction"}, "dc_arm": {"actuator_gain"}}
+"""No weight acts on the first; the second has another effect for what its motors exert."""
 SETTINGS = SearchSettings(max_effects=2, numerics=False)
 """The true time step is the model's: it is not searched."""
 
@@ -110,7 +112,8 @@ def diagnosed(case: Confounded, first: list[Recording], new: list[Recording], se
     """Diagnose; of the first recordings the second is held out, of each new pair the second."""
     hold_out = [1, *range(len(first) + 1, len(first) + len(new), 2)]
     spec, data = mujoco.MjSpec.from_string(nominal_xml(case.model)), trajectories(case, [*first, *new])
-    names = {*CANDIDATES, *(t.effect for t in case.world.truth), *(OF_SERVOS if case.model == "servo_arm" else ())}
+    hidden = {t.effect for t in case.world.truth}
+    names = {*CANDIDATES, *hidden, *OWN.get(case.model, ())} - NOTHING_FOR.get(case.model, set())
     found = diagnose(spec, data, hold_out=hold_out, candidates=sorted(names), seed=seed, settings=SETTINGS, threads=1)
     return Named.of(found.result)
 

@@ -6,6 +6,7 @@
     python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
     python benchmarks/tables.py cost      # what diagnoses simulate
     python benchmarks/tables.py own       # sources and targets of others
+    python benchmarks/tables.py next      # recordings until a diagnosis names one effect
 
 ``python benchmarks/figures.py`` writes them into the pages. The benchmarks import what reads and writes the CSV files.
 """
@@ -227,6 +228,42 @@ def own_worlds(results: Path = RESULTS) -> str:
     return markdown((*titles, "direct transfer", "step 0", "last step", "oracle", "commits"), lines)
 
 
+def next_recordings(results: Path = RESULTS) -> str:
+    """What further recordings came to, method by method, where the first one left several explanations.
+
+    The last column is how many plays of a method's first motion tell as much as one of ours: the square of how far the
+    pair is apart that ours tells least, of those that it tells at all; the median.
+    """
+    confounded: dict[tuple[str, str], dict[str, dict]] = {}
+    for row in read_rows(results / "excitation.csv"):
+        if row["method"] != "none":
+            confounded.setdefault((row["case"], row["seed"]), {})[row["method"]] = row
+    lines = []
+    for method in dict.fromkeys(m for of in confounded.values() for m in of):
+        mine = [of[method] for of in confounded.values()]
+        named = [int(r["recordings"]) for r in mine if r["outcome"] == "named"]
+        others = (str(sum(r["outcome"] == name for r in mine)) for name in ("inseparable", "open", "wrong"))
+        within = (f"{sum(n <= k for n in named)} of {len(mine)}" for k in (1, 2, 3))
+        plays = [p for of in confounded.values() if (p := plays_beside_ours(of["excite"], of[method])) is not None]
+        lines.append((method, *within, *others, f"{np.median(plays):.1f}"))
+    titles = (
+        "motion",
+        "named after one",
+        "two",
+        "three",
+        "said to be inseparable",
+        "left open",
+        "something else named",
+    )
+    return markdown((*titles, "plays for one of ours"), lines)
+
+
+def plays_beside_ours(ours: Row, other: Row, told: float = 1.5) -> float | None:
+    """Plays of another motion that tell as much of the hardest pair as one of ours; None where it tells none."""
+    d, e = (np.array([float(x) for x in str(row["separation"]).split()]) for row in (ours, other))
+    return (d[d >= told].min() / e[d >= told].min()) ** 2 if len(d) == len(e) and (d >= told).any() else None
+
+
 TABLES: Mapping[str, Callable[[Path], str]] = {
     "hard": summary,
     "easy": functools.partial(summary, size="easy"),
@@ -234,6 +271,7 @@ TABLES: Mapping[str, Callable[[Path], str]] = {
     "kept": kept,
     "cost": search_cost,
     "own": own_worlds,
+    "next": next_recordings,
     **{name: functools.partial(every_run, name=name) for _, name, _ in SHOWN},
 }
 """Tables of the pages, by the names that ``benchmarks/figures.py`` finds there."""
