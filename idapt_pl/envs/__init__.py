@@ -3,6 +3,7 @@
 from idapt_pl.envs.action_map import ActionMap, MappedActions
 from idapt_pl.envs.grounded_env import GroundedEnv
 from idapt_pl.envs.image_env import VectorImageEnv
+from idapt_pl.envs.kept_near import KeptNear
 from idapt_pl.envs.robot_env import RobotEnv, TargetFailed
 from idapt_pl.envs.seen_through import SeenThrough
 from idapt_pl.envs.state_env import StatesOnly, VectorStateEnv
@@ -15,6 +16,7 @@ __all__ = [
     "GroundedEnv",
     "ImageEnv",
     "ImageEnvWrapper",
+    "KeptNear",
     "MappedActions",
     "PixelsOnly",
     "RobotEnv",

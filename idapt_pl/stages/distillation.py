@@ -16,7 +16,8 @@ import torch
 from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from idapt_pl.envs import StatesOnly
+from datamodules.unpaired import read_all
+from idapt_pl.envs import ImageEnv, KeptNear, StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.units import Units, take_in_units
@@ -73,6 +74,9 @@ class TeacherSettings:
         candidates: teachers that are trained, with other random numbers, where the source was repaired. The one goes on
             that earns most there, on states as wrong as in training.
         afresh: how many of these, the last ones, begin anew: what was learned in the plain source can be in the way.
+        unfamiliarity_cost: taken off its reward while it trains, where a state is unlike those of the source's
+            task-agnostic data (:class:`.KeptNear`). Without, it may go where no image was ever seen, if the task lets
+            it. A teacher that is trained before these data has none of it.
         attempts: of tasks whose metric is success, teachers of the plain source that are trained at most, one after
             another with other random numbers, until one reaches the goal in half of its episodes there.
     """
@@ -92,10 +96,11 @@ class TeacherSettings:
     candidates: int = 1
     afresh: int = 0
     attempts: int = 3
+    unfamiliarity_cost: float = 0.0
 
     def __post_init__(self) -> None:
         ranges = dict.fromkeys(("steps", "adapt", "dagger", "rehearse", "harden", "horizon"), COUNT_OR_NONE)
-        errors = dict.fromkeys(("noise", "offset"), NOT_NEGATIVE)
+        errors = dict.fromkeys(("noise", "offset", "unfamiliarity_cost"), NOT_NEGATIVE)
         check_ranges(
             "teacher",
             vars(self),
@@ -262,7 +267,7 @@ class Distillation:
 
         def make(device: torch.device) -> VectorEnv:
             n, cut = recipe.num_envs, 0 if fresh else self.settings.horizon
-            return self.worlds.training_states(n, cut) if F is None else StatesOnly(make_env(device))
+            return self.kept_near(self.worlds.training_states(n, cut) if F is None else StatesOnly(make_env(device)))
 
         def train(n: str, anew: bool) -> StateSAC:
             return fit_expert(partial(build_expert, None if anew else known), make, recipe, self.stages, step, n, anew)
@@ -275,6 +280,14 @@ class Distillation:
             self.expert = train(name, anew=fresh)
         self._dynamics, self._first = dynamics, self._first or self.expert
         return self.expert
+
+    def kept_near(self, env: ImageEnv) -> ImageEnv:
+        """The environment with the cost of states unlike those of D^S, if there is one and they are recorded."""
+        cost, data = self.settings.unfamiliarity_cost, self.stages.folder(0) / "source.h5"
+        if not cost or not data.exists():
+            return env
+        states = np.concatenate([e.observations["state"] for e in read_all([data])])
+        return KeptNear(env, states, cost)
 
     def first_to_succeed(self, step: int, name: str, train: Callable[[str], StateSAC]) -> StateSAC:
         """A teacher that reaches the task's goal in the source, or the best of all attempts."""
@@ -329,7 +342,8 @@ class Distillation:
         assert known is not None  # to_be_hardened
 
         def make(device: torch.device) -> VectorEnv:
-            return self.worlds.training_states(recipe.num_envs) if F is None else StatesOnly(make_env(device))
+            n = recipe.num_envs
+            return self.kept_near(self.worlds.training_states(n) if F is None else StatesOnly(make_env(device)))
 
         build_expert: Callable[[], StateSAC] = partial(copy.deepcopy, known)
         self.expert = fit_expert(build_expert, make, recipe, self.stages, step, "hardened_teacher", False, errors)
