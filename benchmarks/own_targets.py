@@ -86,17 +86,8 @@ def main() -> None:
                 replace_rows(o.out, rows, ("task", "target", "run", "seed"), quick.FIELDS)
                 continue
             folder = ROOT / f"runs/example_{name}_{seed}"
-            command = [
-                *COMMAND,
-                "fit",
-                "--config",
-                f"{name}.yaml",
-                "--seed",
-                str(seed),
-                "--run_dir",
-                str(folder),
-                *extra,
-            ]
+            told = ["--config", f"{name}.yaml", "--seed", str(seed), "--run_dir", str(folder)]
+            command = [*COMMAND, "fit", *told, *extra]
             if not (folder / "summary.json").exists():
                 subprocess.run(command, cwd=ROOT / "examples", check=True)
             replace_rows(o.out, quick.rows(folder, "IDAPT"), ("task", "target", "run", "seed"), quick.FIELDS)
