@@ -32,7 +32,7 @@ import mujoco
 import numpy as np
 from tables import read_rows, write_rows
 
-from benchmarks.excitation_cases import CONFOUNDED, HELD_BACK, Confounded
+from benchmarks.excitation_cases import CONFOUNDED, IN_SIGHT, Confounded
 from benchmarks.undeclared.generate import Recording, control_period, first_episodes, replay
 from benchmarks.undeclared.models import nominal_xml
 from cli.provenance import git_commit
@@ -234,7 +234,7 @@ def place(row: dict) -> tuple:
 def summarise(rows: list[dict], title: str) -> str:
     """How often, and after how many recordings, each method came to one effect."""
     at_once, confounded = ([r for r in rows if (r["method"] == "none") is alone] for alone in (True, False))
-    lines = [f"--- {title}; first recordings: {tally(at_once)}; confounded {len(confounded) // len(METHODS)}"]
+    lines = [f"--- {title}; first recordings: {tally(at_once)}; confounded {len({place(r) for r in confounded})}"]
     for method in METHODS:
         mine = [r for r in confounded if r["method"] == method]
         needed = np.array([int(r["recordings"]) for r in mine if r["outcome"] == "named"])
@@ -270,9 +270,9 @@ def main() -> None:
             for r in made:
                 print({k: r.get(k, "") for k in FIELDS if k not in ("commit", "model")}, flush=True)
     rows = read_rows(o.out)
-    seen = [r for r in rows if int(r["seed"]) == 0 and r["model"] not in HELD_BACK]
+    seen = [r for r in rows if int(r["seed"]) in IN_SIGHT]
     held_back = [r for r in rows if r not in seen]
-    for title, chosen in (("seed and models that it was developed on", seen), ("held back", held_back)):
+    for title, chosen in (("seeds that it was developed on", seen), ("held back", held_back)):
         if chosen:
             print(summarise(chosen, title))
 

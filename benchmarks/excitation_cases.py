@@ -109,8 +109,8 @@ class Confounded:
 
 
 CONFOUNDED: dict[str, Confounded] = {}
-HELD_BACK = ("two_link",)
-"""Models that nothing was looked at with while the method was made."""
+IN_SIGHT = range(5)
+"""Seeds that were looked at while the method was made, of some of the cases at least."""
 LIMITS = {"hanging_pendulum": ((-0.4, 0.4), 1.5), "servo_arm": ((-0.5, 0.5), 1.0), "two_link": ((-0.4, 0.4), 1.5)}
 """Positions and speeds, rad and rad/s: narrow, as where people or walls are near."""
 QUIET = ("low", "low", "low", "low")

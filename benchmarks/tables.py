@@ -234,10 +234,10 @@ def next_recordings(results: Path = RESULTS) -> str:
     The last column is how many plays of a method's first motion tell as much as one of ours: the square of how far the
     pair is apart that ours tells least, of those that it tells at all; the median.
     """
-    confounded: dict[tuple[str, str], dict[str, dict]] = {}
+    confounded: dict[tuple[str, str, str], dict[str, dict]] = {}
     for row in read_rows(results / "excitation.csv"):
         if row["method"] != "none":
-            confounded.setdefault((row["case"], row["seed"]), {})[row["method"]] = row
+            confounded.setdefault((row["case"], row["seed"], row["duration"]), {})[row["method"]] = row
     lines = []
     for method in dict.fromkeys(m for of in confounded.values() for m in of):
         mine = [of[method] for of in confounded.values()]

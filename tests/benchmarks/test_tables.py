@@ -57,9 +57,10 @@ def test_each_version_of_a_pair_of_worlds_has_a_row_beside_its_target_s_oracle(t
 
 
 def test_further_recordings_are_counted_where_the_first_left_something_open(tmp_path):
-    rows = ["a,0,none,named,0,", "b,0,excite,named,1,8 0.001", "b,0,random,named,3,4 0.001"]
-    rows += ["c,0,excite,inseparable,0,0.5", "c,0,random,open,3,0.4", "d,0,excite,wrong,2,6", "d,0,random,named,1,6"]
-    head = "case,seed,method,outcome,recordings,separation"
+    rows = ["a,0,4,none,named,0,", "b,0,4,excite,named,1,8 0.001", "b,0,4,random,named,3,4 0.001"]
+    rows += ["c,0,4,excite,inseparable,0,0.5", "c,0,4,random,open,3,0.4"]
+    rows += ["c,0,2,excite,wrong,2,6", "c,0,2,random,named,1,6"]  # a shorter motion is another recording
+    head = "case,seed,duration,method,outcome,recordings,separation"
     (tmp_path / "excitation.csv").write_text("\n".join([head, *rows, ""]))
     ours, random = tables.next_recordings(tmp_path).splitlines()[2:]
     assert ours == "| excite | 1 of 3 | 1 of 3 | 1 of 3 | 1 | 0 | 1 | 1.0 |"
