@@ -18,6 +18,7 @@ from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.dynamics import fit_F
 from idapt_pl.stages.encoder import fit_encoder
 from idapt_pl.stages.labels import labelled_images
+from idapt_pl.stages.moved_poses import moved_poses
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
 from idapt_pl.stages.repair import SourceRepair
 from idapt_pl.stages.rollback import Rollback
@@ -96,29 +97,31 @@ class IterativeGrounding:
         D_T = (self.explore_target(),)
         self.repair.visual_effects(D_T[0])
         D_S = (self.explore_source(),)
-        P_S = fit_P_S(c, 0, D_S, lengths.state_predictor)
+        moved = moved_poses(c, 0, D_S)
+        P_S = fit_P_S(c, 0, (*D_S, *moved), lengths.state_predictor)
         source_policy = self.source_policy(P_S, D_S)
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
-        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy())
+        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy(), moved)
         self.repair.physical_effects(0, D_T, G, pi)
         labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
-        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled)
+        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled, moved)
         return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths = self.context, self.schedule.finetune
         D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F))
-        P_S = fit_P_S(c, k, self.recent(D_S), lengths.state_predictor, g.P_S)
+        moved = moved_poses(c, k, self.recent(D_S))
+        P_S = fit_P_S(c, k, (*self.recent(D_S), *moved), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G, replayed)
-        pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi)
+        pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi, moved)
         repaired = self.repair.physical_effects(k, D_T, G, pi)
         F_before = None if repaired else g.F  # a source that was repaired needs a new F
         F = self.ground_actions(k, D_T, G, F_before, pi)
         F = self.rollback(k, D_T[-1], G, F, F_before, g.pi)
         labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi, self.schedule.paired_steps)
-        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled)
+        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled, moved)
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, D_T, P_S, G, F, pi, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:

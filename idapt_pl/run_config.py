@@ -20,7 +20,7 @@ from idapt_pl.ranges import IMAGE_SIZE, SEED, Range, check_ranges
 from idapt_pl.run_folder.kept_config import read_kept_config, without_retired
 from idapt_pl.stages.distillation import TeacherSettings
 from idapt_pl.stages.schedule import Schedule, check_memory, fill_lengths, length_of, policy_steps
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings, PoseSettings
 from idapt_pl.targets import target_name
 from idapt_pl.tasks import SOURCES, TASKS
 
@@ -47,6 +47,7 @@ SETTINGS: dict[str, type] = {
     "teacher": TeacherSettings,
     "filter": FilterSettings,
     "labels": LabelSettings,
+    "poses": PoseSettings,
     "vision": Vision,
 }
 """Everything else that a config sets, by its key."""
@@ -76,6 +77,7 @@ class RunConfig:
         randomisation: what policies train in, if that is not the source as it is.
         filter: how the policy's filter learns, if it has one.
         labels: how images of the target get states to learn from, if they do.
+        poses: in which poses beside those of motions the source is seen.
         vision: how images are looked at.
         modules: constructor arguments of each of :data:`MODULES`.
     """
@@ -101,6 +103,7 @@ class RunConfig:
     teacher: TeacherSettings
     filter: FilterSettings
     labels: LabelSettings
+    poses: PoseSettings
     vision: Vision
     modules: dict[str, dict[str, Any]]
 

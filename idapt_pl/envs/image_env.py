@@ -143,7 +143,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
     def set_state(self, i: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Put simulation ``i`` into a state (positions (nq,), velocities (nv,)). Returns its frame, uint8 (H, W, 3).
 
-        For paired evaluation only.
+        For paired evaluation, and for images of poses that no motion brings about.
         """
         self.data[i].qpos[:], self.data[i].qvel[:] = qpos, qvel
         mujoco.mj_forward(self.models[i], self.data[i])

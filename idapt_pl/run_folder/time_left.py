@@ -90,6 +90,8 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "evaluation": 50.0,
     }
     costs |= {f"teacher_{i}": costs["teacher"] for i in range(2, t.candidates + 1)}
+    if config.poses.spread:
+        costs |= {"moved": 0.006 * config.poses.images * area, "moved_translated": 0.004 * config.poses.images * area}
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets

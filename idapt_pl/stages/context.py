@@ -11,7 +11,7 @@ from idapt_pl.modules import AsymmetricSAC
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.stage import Stages
 from idapt_pl.stages.distillation import Distillation
-from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings, ModuleFactories
+from idapt_pl.stages.settings import BatchSettings, FilterSettings, LabelSettings, ModuleFactories, PoseSettings
 from idapt_pl.worlds import Worlds
 
 
@@ -27,6 +27,7 @@ class StageContext:
         teacher: the privileged teacher of the run; off unless the config asks for one.
         filter: how the policy's filter learns, if it has one.
         labels: how images of the target get states to learn from, if they do.
+        poses: in which poses beside those of motions the source is seen.
     """
 
     worlds: Worlds
@@ -36,6 +37,7 @@ class StageContext:
     teacher: Distillation
     filter: FilterSettings = field(default_factory=FilterSettings)
     labels: LabelSettings = field(default_factory=LabelSettings)
+    poses: PoseSettings = field(default_factory=PoseSettings)
 
     def new_policy(self, start: AsymmetricSAC | PixelStatePredictor | None = None) -> AsymmetricSAC:
         """A policy: as ``start`` is, or new, with an encoder from a predictor if one is given."""

@@ -16,8 +16,9 @@ from idapt_pl.stages.state_predictor import fit_P_S
 
 
 def fit_encoder(
-    c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC
-) -> AsymmetricSAC:
+    c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC,
+    moved: Sequence[Path] = (),
+) -> AsymmetricSAC:  # fmt: skip
     """π with its encoder regressed on all labelled source images, as G shows them; 0 batches leave π as it is.
 
     While π trains it meets few states, near those it holds. F and the next policies need estimates that are right
@@ -25,18 +26,26 @@ def fit_encoder(
     """
     if not batches:
         return pi
-    return fit_encoder_on(c, step, "estimator", [translated(c, step, source, G)], batches, pi)
+    files = [translated(c, step, source, G), *poses_through(c, step, moved, G)]
+    return fit_encoder_on(c, step, "estimator", files, batches, pi)
 
 
-def translated(c: StageContext, step: int, source: Sequence[Path], G: VisualTransformation) -> Path:
-    """``translated.h5``: labelled source images as G shows them."""
+def poses_through(c: StageContext, step: int, moved: Sequence[Path], G: VisualTransformation | None) -> list[Path]:
+    """``moved_translated.h5``: images of moved poses as G shows them; as they are without G, none if there are none."""
+    return [translated(c, step, moved, G, "moved_translated")] if moved and G is not None else list(moved)
+
+
+def translated(
+    c: StageContext, step: int, source: Sequence[Path], G: VisualTransformation, name: str = "translated"
+) -> Path:
+    """``<name>.h5``: labelled source images as G shows them."""
 
     def make(seed: int) -> Trajectories:
         seen = read_all(source, also="state")
         episodes = tuple(G.translate_episode(episode) for episode in seen)
         return replace(seen, episodes=episodes, source=f"{seen.source}, as G shows it")
 
-    return c.stages.record(step, "translated", make)[0]
+    return c.stages.record(step, name, make)[0]
 
 
 def fit_encoder_on(

@@ -46,6 +46,7 @@ def fit_on_estimates(
     start: AsymmetricSAC,
     G: VisualTransformation | None = None,
     F: ActionTransformation | None = None,
+    poses: Sequence[Path] = (),
 ) -> AsymmetricSAC:
     """π: a teacher's head on the estimates of encoder and filter, which rehearse in the source behind G and F.
 
@@ -59,10 +60,11 @@ def fit_on_estimates(
         start: the policy whose encoder and filter go on learning.
         G: shows source images as target images; None where the source is not grounded.
         F: moves the source as the target moves; None is the identity.
+        poses: trajectory files with target-like images and states that no motion brings about; for the encoder alone.
     """
     last = not prefix and not c.teacher.to_be_hardened
     rounds = c.teacher.settings.rounds
-    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F, rounds if last else 1)
+    pi = in_rehearsals(c, step, prefix, lengths, labelled, teacher, start, G, F, rounds if last else 1, poses)
     if prefix or last:
         return pi
     trial = rehearse(c, step, "trial_rehearsal", teacher, pi, G, F)  # what pi learned from, it reads twice as well
@@ -72,12 +74,13 @@ def fit_on_estimates(
 
     errors = partial(errors_of_estimates, pi, [trial])
     hardened = c.teacher.hardened(step, partial(c.new_policy, pi), errors, grounded, F)
-    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F, rounds)
+    return in_rehearsals(c, step, "hardened_", lengths, [*labelled, trial], hardened, pi, G, F, rounds, poses)
 
 
 def in_rehearsals(
     c: StageContext, step: int, prefix: str, lengths: StageLengths, labelled: Sequence[Path], teacher: StateSAC,
     start: AsymmetricSAC, G: VisualTransformation | None, F: ActionTransformation | None, rounds: int = 1,
+    poses: Sequence[Path] = (),
 ) -> AsymmetricSAC:  # fmt: skip
     """π as of :func:`fit_on_estimates`, with this teacher; ``rounds`` rehearsals are of π itself as it is by then."""
     pi, files = copy.deepcopy(start), list(labelled)
@@ -85,7 +88,7 @@ def in_rehearsals(
     for part in ("teacher", *(numbered("policy", i) for i in range(1, rounds + 1))):
         acting = None if part == "teacher" else pi
         files.append(rehearse(c, step, f"{prefix}rehearsal_{part}", teacher, acting, G, F))
-        pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", files, lengths.rehearsed // 2, pi)
+        pi = fit_encoder_on(c, step, f"{prefix}estimator_{part}", [*files, *poses], lengths.rehearsed // 2, pi)
         take_over(teacher, pi)
         pi = fit_filter(c, step, f"{prefix}filter_{part}", files, lengths.filter // 2, pi)
     return pi

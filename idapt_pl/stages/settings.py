@@ -101,6 +101,23 @@ class LabelSettings:
 
 
 @dataclass(frozen=True)
+class PoseSettings:
+    """Which poses beside those of motions state predictors see (:mod:`~idapt_pl.stages.moved_poses`). Off by default.
+
+    Args:
+        spread: of each joint's own offsets, in units of its spread over the recorded motions; 0 leaves motions as they
+            are, such as 0.5 or 1 parts what goes together in them.
+        images: of the source in such poses, at each grounding step.
+    """
+
+    spread: float = 0.0
+    images: int = 3000
+
+    def __post_init__(self) -> None:
+        check_ranges("poses", vars(self), {"spread": Range(0, 10), "images": COUNT})
+
+
+@dataclass(frozen=True)
 class FilterSettings:
     """How the filter between encoder and head learns (:class:`.FilterTraining`); ``policy.memory`` is its size.
 
