@@ -1,0 +1,142 @@
+"""Poses that no motion brings about: labels that are true, joints that go their own ways, and what it is good for."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
+from idapt_pl.envs import VectorImageEnv
+from idapt_pl.nets.encoder import Vision
+from idapt_pl.nets.images import stack_channels
+from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages.moved_poses import KNOT, joint_spread, move, moved_poses, wandering
+from idapt_pl.stages.settings import PoseSettings
+from idapt_pl.tasks import make_task
+
+SIZE = 32
+
+
+def falling(env, episodes=12, steps=8):
+    """Episodes of a cart-pole in which the cart always runs the other way, as it does where nothing pushes it."""
+    rng, made = np.random.default_rng(0), []
+    for _ in range(episodes):
+        angle = rng.uniform(-0.1, 0.1) * np.cosh(1.5 * env.dt * np.arange(steps + 1))
+        rate = np.gradient(angle, env.dt)
+        states = np.column_stack([-0.4 * angle, angle, -0.4 * rate, rate])
+        frames = np.array([env.set_state(0, s[:2], s[2:]) for s in states])
+        made.append(Episode(np.zeros((steps, 1), np.float32), {"pixels": frames, "state": states.astype(np.float32)}))
+    return made
+
+
+@pytest.fixture
+def pendulum():
+    task = make_task("inverted_pendulum")
+    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1)
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+def states_of(episodes):
+    return np.concatenate([e.observations["state"] for e in episodes])
+
+
+def test_offsets_go_straight_from_knot_to_knot_and_begin_at_rest():
+    offsets, rates = wandering(35, 0.02, np.array([1.0, 0.0]), np.random.default_rng(0))
+    assert (offsets[: KNOT + 1, 0] == offsets[0, 0]).all() and not rates[:KNOT].any()
+    assert np.allclose(np.diff(offsets, axis=0), rates[:-1] * 0.02) and rates[KNOT:, 0].all()
+    assert not offsets[:, 1].any()
+
+
+def test_components_that_go_together_in_motion_part(pendulum):
+    recorded = falling(pendulum)
+    moved = move(pendulum, recorded, 1.0, 10_000, np.random.default_rng(0))
+    assert len(moved) == len(recorded)  # nothing is left after each once
+    before, after = states_of(recorded), states_of(moved)
+    assert np.corrcoef(before[:, :2].T)[0, 1] < -0.999 and abs(np.corrcoef(after[:, :2].T)[0, 1]) < 0.8
+    assert np.allclose(after[:, :2].std(0), before[:, :2].std(0) * np.sqrt(2), rtol=0.4)
+
+
+def test_labels_are_what_the_images_show(pendulum):
+    for episode in move(pendulum, falling(pendulum, steps=25), 1.0, 60, np.random.default_rng(0)):
+        states = episode.observations["state"]
+        for state, frame in zip(states, episode.observations["pixels"], strict=True):
+            assert (pendulum.set_state(0, state[:2].astype(float), state[2:].astype(float)) == frame).all()
+        speeds = np.diff(states[:, :2], axis=0) / pendulum.dt
+        assert np.abs(speeds - (states[1:, 2:] + states[:-1, 2:]) / 2).max() < 0.3  # also where a knot lies between
+
+
+def test_it_stops_when_there_are_enough(pendulum):
+    moved = move(pendulum, falling(pendulum), 1.0, 20, np.random.default_rng(0))
+    assert sum(len(e) + 1 for e in moved) == 27  # three episodes of nine
+
+
+def test_the_way_that_a_robot_has_gone_stays():
+    task = make_task("half_cheetah")
+    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1)
+    env.reset(seed=0)
+    states = np.repeat(env.states(), 5, 0) + np.random.default_rng(0).normal(0, 0.1, (5, env.state_dim))
+    episode = Episode(np.zeros((4, 6), np.float32), {"pixels": np.zeros((5, SIZE, SIZE, 3), np.uint8), "state": states})
+    way = task.motion(states, env.dt)[0][-1, 0]
+    moved = move(env, [episode], 1.0, 5, np.random.default_rng(0))[0]
+    assert env.data[0].qpos[0] == pytest.approx(way) and not np.allclose(moved.observations["state"], states, atol=0.05)
+    env.close()
+
+
+def test_the_spread_of_a_turned_body_is_an_angle():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    qpos = np.array([[0, 0, 0, np.cos(a / 2), 0, 0, np.sin(a / 2)] for a in (-0.2, 0.2)])
+    assert joint_spread(model, qpos) == pytest.approx([0, 0, 0, 0, 0, 0.2], abs=1e-9)
+
+
+def test_what_learned_from_them_reads_what_motion_never_showed(pendulum):
+    """An angle is read off the pole, where it was read off the cart."""
+    recorded, rng = falling(pendulum, episodes=30), np.random.default_rng(1)
+    seen = rng.uniform([-0.05, -0.1], [0.05, 0.1], (200, 2))
+    frames = np.array([pendulum.set_state(0, q, np.zeros(2)) for q in seen])
+    errors = {}
+    for spread in (0.0, 1.0):
+        moved = move(pendulum, recorded, spread, 10_000, rng)
+        net = fitted([*recorded, *moved])
+        with torch.no_grad():
+            read = net.predict(torch.from_numpy(frames)[:, None]).numpy()
+        errors[spread] = np.abs(read[:, 1] - seen[:, 1]).mean()
+    assert errors[1.0] < 0.6 * errors[0.0], errors
+
+
+def fitted(episodes):
+    torch.manual_seed(0)
+    pixels = torch.from_numpy(np.concatenate([e.observations["pixels"] for e in episodes]))[:, None]
+    states = torch.from_numpy(states_of(episodes))
+    net = Vision(strides=(2, 1, 1, 1), pool="keypoints").predictor(SIZE, 1, 4, {2: 0, 3: 1}, 0.04)
+    net.fit_scale(states)
+    adam = torch.optim.Adam(net.parameters(), 3e-3)
+    for _ in range(200):
+        some = torch.randint(len(pixels), (32,))
+        adam.zero_grad()
+        net.error(stack_channels(pixels[some]), states[some]).backward()
+        adam.step()
+    return net
+
+
+def test_none_are_made_unless_asked_for(tmp_path):
+    context = SimpleNamespace(poses=PoseSettings())
+    assert moved_poses(context, 0, [tmp_path / "not_even_read.h5"]) == []
+
+
+def test_they_are_a_stage_of_the_run(pendulum, tmp_path):
+    write_trajectories(tmp_path / "source.h5", Trajectories(tuple(falling(pendulum)), pendulum.dt, "falling"))
+    worlds, stages = SimpleNamespace(source=lambda num_envs: pendulum), Stages(tmp_path, 0, cpu_trainer)
+    context = SimpleNamespace(poses=PoseSettings(1.0, 20), worlds=worlds, stages=stages)
+    (path,) = moved_poses(context, 0, [tmp_path / "source.h5"])
+    made = read_trajectories(path)
+    assert path.name == "moved.h5" and made.source.endswith("with every joint moved")
+    assert made.total_steps + len(made) == 27
+    assert moved_poses(context, 0, []) == [path], "a resumed run takes what there is"
