@@ -76,7 +76,7 @@ class Run:
         worlds.add_effects(known)
         check_randomisation(config, worlds)
         check_exploration(config, worlds)
-        if config.labels.members or config.poses.spread:  # better said before hours of G
+        if config.labels.members:  # better said before hours of G
             task.motion(np.zeros((1, worlds.dimensions["state_dim"])), 1.0)
         if (config.oracle or config.method == "oracle") and not worlds.target.has_states:
             raise ValueError(f"oracle: it would train on the states of {worlds.target.name}, which are not known")

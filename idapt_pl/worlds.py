@@ -51,9 +51,9 @@ class Worlds:
         """The source that the run began with, known effects included; what explores acts in it throughout."""
         return self.task.domain("source").with_effects(*self.known_effects)
 
-    def source(self, num_envs: int) -> VectorImageEnv:
-        """The source: images, state, reward."""
-        return self.image_env(self.source_domain, num_envs)
+    def source(self, num_envs: int, whole: bool = False) -> VectorImageEnv:
+        """The source: images, state, reward; ``whole`` simulations can be restored."""
+        return self.look.simulate(self.task, self.source_domain, num_envs, whole=whole)
 
     @property
     def variants(self) -> tuple[Domain, ...]:

@@ -24,11 +24,17 @@ StepResult: TypeAlias = tuple[Observations, np.ndarray, np.ndarray, np.ndarray, 
 """What ``step`` returns: observations, rewards float (n,), terminations and truncations bool (n,), and infos."""
 
 
+_PARTS = ("QPOS", "QVEL", "MOCAP_POS", "MOCAP_QUAT")
+SHOWN = sum(int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in _PARTS)
+"""The parts of MuJoCo's state that images and state vectors show."""
+
+
 class VectorImageEnv(gymnasium.vector.VectorEnv):
     """``num_envs`` simulations of one domain, stepped together and seen by one renderer.
 
     Observations: ``pixels`` uint8 (n, K, H, W, 3), the last K frames, oldest first; ``state`` float32
-    (n, state_dim). Actions: float32 (n, nu) in the actuators' units, clipped to ``ctrlrange``.
+    (n, state_dim); with ``whole`` also ``simulation`` float64 (n, size), which :meth:`restore` takes. Actions: float32
+    (n, nu) in the actuators' units, clipped to ``ctrlrange``.
     A finished simulation is reset in the same step; its last observation is ``infos["final_obs"]``. Where the task's
     metric is success, ``infos["success"]`` is bool (n,), as of before that reset.
 
@@ -43,6 +49,7 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         variants: worlds that episodes begin in, in place of ``domain`` (domain randomisation): shuffled, and each once
             before any comes again.
         horizon: control steps after which episodes are cut; 0 is the task's.
+        whole: whether observations have the whole simulation, too.
     """
 
     single_action_space: gymnasium.spaces.Box
@@ -60,7 +67,9 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         render_processes: int = 0,
         variants: Sequence[Domain] = (),
         horizon: int = 0,
+        whole: bool = False,
     ) -> None:
+        self.whole = whole
         self.horizon = horizon or task.horizon
         self.task, self.domain, self.num_envs = task, domain, num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -150,6 +159,11 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._frames[i, -1] = self._render([self.data[i]])[0]
         return self._frames[i, -1].copy()
 
+    def restore(self, i: int, simulation: np.ndarray) -> mujoco.MjData:
+        """Put simulation ``i`` where an observed one was, (size,). Returns it, to be moved and shown."""
+        mujoco.mj_setState(self.models[i], self.data[i], simulation, SHOWN)
+        return self.data[i]
+
     def close_extras(self, **kwargs: Any) -> None:
         self._render.close()
 
@@ -191,7 +205,15 @@ class VectorImageEnv(gymnasium.vector.VectorEnv):
         self._frames[:, -1] = self._render(self.data)
 
     def _observe(self) -> Observations:
-        return {"pixels": self._frames.copy(), "state": self.states()}
+        shown = {"pixels": self._frames.copy(), "state": self.states()}
+        return shown | {"simulation": self._simulations()} if self.whole else shown
+
+    def _simulations(self) -> np.ndarray:
+        """What is shown and moves, by simulation: float64 (n, size)."""
+        kept = np.empty((self.num_envs, mujoco.mj_stateSize(self.model, SHOWN)))
+        for row, model, data in zip(kept, self.models, self.data, strict=True):
+            mujoco.mj_getState(model, data, row, SHOWN)
+        return kept
 
 
 def check_alike(model: mujoco.MjModel, variants: Sequence[mujoco.MjModel]) -> None:

@@ -11,6 +11,9 @@ from idapt_pl.envs import ImageEnv
 from idapt_pl.rl.exploration import look_into
 from idapt_pl.rl.policy import Policy, tick
 
+LABELS = ("state", "simulation")
+"""What is recorded beside images where an environment shows it."""
+
 
 def collect(
     env: ImageEnv, act: Policy, steps: int, seed: int, source: str, pixels: str = "pixels",
@@ -118,15 +121,15 @@ class _EpisodeBuilder:
     def __init__(self, obs: dict[str, np.ndarray], i: int, pixels: str) -> None:
         self.pixels = pixels
         self.frames: list[np.ndarray] = []
-        self.states: list[np.ndarray] = []
+        self.shown: dict[str, list[np.ndarray]] = {name: [] for name in LABELS if name in obs}
         self.actions: list[np.ndarray] = []
         self.outcomes: list[tuple] = []
         self._see(obs, i)
 
     def _see(self, obs: dict[str, np.ndarray], i: int) -> None:
         self.frames.append(obs[self.pixels][i, -1])
-        if "state" in obs:
-            self.states.append(obs["state"][i])
+        for name, rows in self.shown.items():
+            rows.append(obs[name][i])
 
     def add(self, action: np.ndarray, obs: dict[str, np.ndarray], i: int, outcome: tuple) -> None:
         self.actions.append(action)
@@ -137,5 +140,5 @@ class _EpisodeBuilder:
         if not labelled:
             return Episode(np.asarray(self.actions), {"pixels": np.asarray(self.frames)})
         rewards, terminations, truncations = map(np.asarray, zip(*self.outcomes, strict=True))
-        observations = {"pixels": np.asarray(self.frames), "state": np.asarray(self.states)}
+        observations = {"pixels": np.asarray(self.frames)} | {n: np.asarray(rows) for n, rows in self.shown.items()}
         return Episode(np.asarray(self.actions), observations, rewards, terminations, truncations)

@@ -133,7 +133,8 @@ def record_source(
 
     def make(seed: int) -> Trajectories:
         about = f"{c.worlds.task.name} source, step {k}"
-        with closing(c.worlds.grounded(1, G, F)) as env:
+        source = c.worlds.source(1, whole=bool(c.poses.spread))
+        with closing(c.worlds.grounded_over(source, G, F)) as env:
             return collect(env, make_policy(seed), steps, seed, about, "source_pixels", horizon=horizon)
 
     return c.stages.record(k, name, make)[0]

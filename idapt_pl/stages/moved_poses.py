@@ -31,13 +31,13 @@ def moved_poses(c: StageContext, step: int, source: Sequence[Path]) -> list[Path
     Args:
         c: of the run.
         step: grounding step.
-        source: trajectory files with states that tell positions.
+        source: trajectory files with states and simulations.
     """
     if not c.poses.spread:
         return []
 
     def make(seed: int) -> Trajectories:
-        recorded, rng = read_all(source, also="state"), np.random.default_rng(seed)
+        recorded, rng = read_all(source, also="simulation"), np.random.default_rng(seed)
         with closing(c.worlds.source(1)) as env:
             episodes = move(env, recorded.episodes, c.poses.spread, c.poses.images, rng)
         return replace(recorded, episodes=tuple(episodes), source=f"{recorded.source}, with every joint moved")
@@ -52,21 +52,21 @@ def move(
 
     Args:
         env: one simulation of the source.
-        recorded: episodes with states that tell positions.
+        recorded: episodes with the ``simulation`` at each observation.
         spread: of the offsets, in units of each joint's own spread over all that was recorded.
         images: at least; fewer if nothing is left.
         rng: draws order and offsets.
     """
-    motions = [env.task.motion(e.observations["state"].astype(float), env.dt) for e in recorded]
-    scale = spread * joint_spread(env.model, np.concatenate([qpos for qpos, _ in motions]))
+    env.reset(seed=int(rng.integers(2**31)))
+    rows = np.concatenate([e.observations["simulation"] for e in recorded])
+    scale = spread * joint_spread(env.model, np.array([env.restore(0, row).qpos.copy() for row in rows]))
     for name in env.task.unseen:
         scale[env.model.joint(name).dofadr] = 0.0  # nothing depends on where it is
-    env.reset(seed=int(rng.integers(2**31)))
     found, taken = [], 0
     for i in rng.permutation(len(recorded)):
         if taken >= images:
             break
-        found.append(moved_episode(env, recorded[i], motions[i], scale, rng))
+        found.append(moved_episode(env, recorded[i], scale, rng))
         taken += len(found[-1]) + 1
     return found
 
@@ -79,20 +79,18 @@ def joint_spread(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     return from_first.std(0)
 
 
-def moved_episode(
-    env: VectorImageEnv, episode: Episode, motion: tuple[np.ndarray, np.ndarray], scale: np.ndarray,
-    rng: np.random.Generator,
-) -> Episode:  # fmt: skip
-    """An episode's positions (T+1, nq) and velocities (T+1, nv) with offsets of this spread (nv,), seen again.
+def moved_episode(env: VectorImageEnv, episode: Episode, scale: np.ndarray, rng: np.random.Generator) -> Episode:
+    """An episode with offsets of this spread (nv,) on its joints, seen again.
 
     Actions stay, though nothing moves so by them: these are images with states, and no motions.
     """
     offsets, speeds = wandering(len(episode) + 1, env.dt, scale, rng)
     frames, states = [], []
-    for q, v, offset, speed in zip(*motion, offsets, speeds, strict=True):
-        elsewhere = q.copy()
+    for row, offset, speed in zip(episode.observations["simulation"], offsets, speeds, strict=True):
+        data = env.restore(0, row)
+        elsewhere = data.qpos.copy()
         mujoco.mj_integratePos(env.model, elsewhere, offset, 1.0)
-        frames.append(env.set_state(0, elsewhere, v + speed))
+        frames.append(env.set_state(0, elsewhere, data.qvel + speed))
         states.append(env.states()[0])
     return Episode(episode.actions, {"pixels": np.asarray(frames), "state": np.asarray(states)})
 

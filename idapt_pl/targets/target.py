@@ -31,11 +31,14 @@ class Look:
     view: View = WHOLE
     render_processes: int = 0
 
-    def simulate(self, task: Task, domain: Domain, num_envs: int, variants: Sequence[Domain] = ()) -> VectorImageEnv:
-        """Simulations of a domain, or of variants of it, seen in this way."""
+    def simulate(
+        self, task: Task, domain: Domain, num_envs: int, variants: Sequence[Domain] = (), whole: bool = False
+    ) -> VectorImageEnv:
+        """Simulations of a domain, or of variants of it, seen in this way; ``whole`` ones can be restored."""
         return VectorImageEnv(
-            task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes, variants
-        )
+            task, domain, num_envs, self.image_size, self.frame_stack, self.view, self.render_processes, variants,
+            whole=whole,
+        )  # fmt: skip
 
 
 class Target(ABC):

@@ -62,8 +62,7 @@ class Task(ABC):
             ValueError: where states do not tell.
         """
         raise ValueError(
-            f"labels.members and poses.spread need positions, which the states of {self.name} do not tell. Set them to "
-            "0."
+            f"labels.members needs positions, which the states of {self.name} do not tell. Set labels.members: 0."
         )
 
     @property

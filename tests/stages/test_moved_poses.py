@@ -28,15 +28,24 @@ def falling(env, episodes=12, steps=8):
         angle = rng.uniform(-0.1, 0.1) * np.cosh(1.5 * env.dt * np.arange(steps + 1))
         rate = np.gradient(angle, env.dt)
         states = np.column_stack([-0.4 * angle, angle, -0.4 * rate, rate])
-        frames = np.array([env.set_state(0, s[:2], s[2:]) for s in states])
-        made.append(Episode(np.zeros((steps, 1), np.float32), {"pixels": frames, "state": states.astype(np.float32)}))
+        made.append(recorded(env, states, np.zeros((steps, 1), np.float32)))
     return made
+
+
+def recorded(env, states, actions):
+    """What an environment shows in these states (T+1, 2 nq), of which all are positions and velocities."""
+    frames, simulations = [], []
+    for q, v in zip(*np.split(states, 2, 1), strict=True):
+        frames.append(env.set_state(0, q, v))
+        simulations.append(env._observe()["simulation"][0])
+    shown = {"pixels": np.array(frames), "state": states.astype(np.float32), "simulation": np.array(simulations)}
+    return Episode(actions, shown)
 
 
 @pytest.fixture
 def pendulum():
     task = make_task("inverted_pendulum")
-    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1)
+    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1, whole=True)
     env.reset(seed=0)
     yield env
     env.close()
@@ -54,10 +63,10 @@ def test_offsets_go_straight_from_knot_to_knot_and_begin_at_rest():
 
 
 def test_components_that_go_together_in_motion_part(pendulum):
-    recorded = falling(pendulum)
-    moved = move(pendulum, recorded, 1.0, 10_000, np.random.default_rng(0))
-    assert len(moved) == len(recorded)  # nothing is left after each once
-    before, after = states_of(recorded), states_of(moved)
+    falls = falling(pendulum)
+    moved = move(pendulum, falls, 1.0, 10_000, np.random.default_rng(0))
+    assert len(moved) == len(falls)  # nothing is left after each once
+    before, after = states_of(falls), states_of(moved)
     assert np.corrcoef(before[:, :2].T)[0, 1] < -0.999 and abs(np.corrcoef(after[:, :2].T)[0, 1]) < 0.8
     assert np.allclose(after[:, :2].std(0), before[:, :2].std(0) * np.sqrt(2), rtol=0.4)
 
@@ -78,13 +87,33 @@ def test_it_stops_when_there_are_enough(pendulum):
 
 def test_the_way_that_a_robot_has_gone_stays():
     task = make_task("half_cheetah")
-    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1)
+    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1, whole=True)
     env.reset(seed=0)
-    states = np.repeat(env.states(), 5, 0) + np.random.default_rng(0).normal(0, 0.1, (5, env.state_dim))
-    episode = Episode(np.zeros((4, 6), np.float32), {"pixels": np.zeros((5, SIZE, SIZE, 3), np.uint8), "state": states})
-    way = task.motion(states, env.dt)[0][-1, 0]
+    states = np.random.default_rng(0).normal(0, 0.1, (5, 2 * env.model.nv)) + np.eye(18)[0] * 1.5
+    episode = recorded(env, states, np.zeros((4, 6), np.float32))
     moved = move(env, [episode], 1.0, 5, np.random.default_rng(0))[0]
-    assert env.data[0].qpos[0] == pytest.approx(way) and not np.allclose(moved.observations["state"], states, atol=0.05)
+    assert env.data[0].qpos[0] == pytest.approx(states[-1, 0])
+    assert not np.allclose(moved.observations["state"], states[:, 1:], atol=0.05)
+    env.close()
+
+
+def test_what_lies_about_is_moved_too():
+    """The puck, beside the hand that pushes it; the goal, which no joint moves, stays."""
+    task = make_task("sawyer_push")
+    env = VectorImageEnv(task, task.domain("source"), image_size=SIZE, frame_stack=1, whole=True)
+    env.reset(seed=3)
+    rng, shown = np.random.default_rng(0), []
+    for _ in range(12):
+        env.data[0].joint("puck").qpos[:2] += rng.normal(0, 0.05, 2)
+        mujoco.mj_forward(env.model, env.data[0])
+        shown.append({name: array[0] for name, array in env._observe().items()})
+    episode = Episode(
+        np.zeros((11, 2), np.float32), {n: np.array([s[n] for s in shown]) for n in ("state", "simulation")}
+    )
+    moved = move(env, [episode], 1.0, 1, rng)[0].observations["state"]
+    before = episode.observations["state"]
+    assert (moved[:, 25:28] == before[:, 25:28]).all(), "the goal"
+    assert (np.abs(moved - before)[:, 28:30].max(0) > 0.01).all(), "the puck"
     env.close()
 
 
@@ -98,13 +127,13 @@ def test_the_spread_of_a_turned_body_is_an_angle():
 
 def test_what_learned_from_them_reads_what_motion_never_showed(pendulum):
     """An angle is read off the pole, where it was read off the cart."""
-    recorded, rng = falling(pendulum, episodes=30), np.random.default_rng(1)
+    falls, rng = falling(pendulum, episodes=30), np.random.default_rng(1)
     seen = rng.uniform([-0.05, -0.1], [0.05, 0.1], (200, 2))
     frames = np.array([pendulum.set_state(0, q, np.zeros(2)) for q in seen])
     errors = {}
     for spread in (0.0, 1.0):
-        moved = move(pendulum, recorded, spread, 10_000, rng)
-        net = fitted([*recorded, *moved])
+        moved = move(pendulum, falls, spread, 10_000, rng)
+        net = fitted([*falls, *moved])
         with torch.no_grad():
             read = net.predict(torch.from_numpy(frames)[:, None]).numpy()
         errors[spread] = np.abs(read[:, 1] - seen[:, 1]).mean()

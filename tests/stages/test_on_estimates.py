@@ -410,7 +410,7 @@ def test_the_evaluation_says_how_wrong_the_policy_is_about_the_state(run):
         ({"schedule.pretrain.rehearsed": 1}, "schedule.pretrain.rehearsed is 1"),
         ({"filter.dropout": 1}, "filter.dropout"),
         ({"labels.members": 1}, "one guess has no spread"),
-        ({"task": "fetch_reach"}, "poses.spread need positions, which the states of fetch_reach do not tell"),
+        ({"task": "fetch_reach"}, "labels.members needs positions, which the states of fetch_reach do not tell"),
         ({"labels.members": 8, "policy.memory": 0, "teacher.rehearse": 0, "teacher.harden": 0, "teacher.dagger": 16},
          "Give all three"),
         ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
