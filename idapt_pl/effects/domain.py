@@ -22,20 +22,22 @@ class View:
     Args:
         share: side of the window, as a share of the whole image's.
         up: how far the window's middle lies above the image's, in the same measure.
+        right: how far it lies to the right of it.
     """
 
     share: float = 1.0
     up: float = 0.0
+    right: float = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges("view", vars(self), {"share": Range(0, 1, "(]"), "up": Range(-1, 1)})
+        check_ranges("view", vars(self), {"share": Range(0, 1, "(]"), "up": Range(-1, 1), "right": Range(-1, 1)})
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         """Narrow every camera to the window. Lengths are in units of the whole image."""
         for camera in spec.cameras:
             focal = 0.5 / np.tan(np.deg2rad(camera.fovy) / 2)
             camera.focal_length, camera.sensor_size = [focal] * 2, [self.share] * 2
-            camera.principal_length = [0, -self.up]
+            camera.principal_length = [self.right, -self.up]
 
 
 WHOLE = View()

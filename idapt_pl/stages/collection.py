@@ -19,6 +19,7 @@ from idapt_pl.rl.policy import Acting, Policy, warn_if_lost
 from idapt_pl.run_folder.kept_episodes import KeptEpisodes
 from idapt_pl.stages.by_hand import ask_for_recording
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.framing import warn_if_outside
 from idapt_pl.targets import RecordedTarget
 
 EXPERTS = {"expert": "exploring_expert", "backwards": "exploring_backwards"}
@@ -129,15 +130,19 @@ def record_source(
     name: str = "source",
     horizon: int | None = None,
 ) -> Path:
-    """``<name>.h5`` of a grounding step: source images and states, of a policy in the source behind G and F."""
+    """``<name>.h5`` of a grounding step: source images and states, of a policy in the source behind G and F.
+
+    Warns of parts of the robot that leave the picture.
+    """
 
     def make(seed: int) -> Trajectories:
         about = f"{c.worlds.task.name} source, step {k}"
-        source = c.worlds.source(1, whole=bool(c.poses.spread))
-        with closing(c.worlds.grounded_over(source, G, F)) as env:
+        with closing(c.worlds.grounded_over(c.worlds.source(1, whole=True), G, F)) as env:
             return collect(env, make_policy(seed), steps, seed, about, "source_pixels", horizon=horizon)
 
-    return c.stages.record(k, name, make)[0]
+    path = c.stages.record(k, name, make)[0]
+    warn_if_outside(c.worlds, path)
+    return path
 
 
 def replay_in_source(

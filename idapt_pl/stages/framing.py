@@ -1,0 +1,115 @@
+"""Whether the robot is in the picture: what no image shows, nothing can read."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from datamodules import read_trajectories
+from idapt_pl.effects import View
+from idapt_pl.effects.visual import CAMERA
+from idapt_pl.envs.image_env import SHOWN
+from idapt_pl.worlds import Worlds
+
+log = logging.getLogger(__name__)
+
+SELDOM, MOSTLY = 0.05, 0.95
+"""Shares of the frames. What is out of the picture more seldom does no harm, and what mostly is, is meant to be."""
+FRAMES = 500
+"""That are looked at, at most."""
+KEPT = 0.005
+"""Share of the frames that a wider view may still cut, at either side."""
+VISIBLE_GROUPS = 3
+"""MuJoCo draws geoms of the groups below."""
+
+_ENDS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What of a robot leaves the picture.
+
+    Attributes:
+        outside: share of the frames in which a part reaches out of the picture, by the geom's or its body's name.
+        view: the smallest view in which hardly any of these parts does; None where the camera's whole image is too
+            small.
+    """
+
+    outside: dict[str, float]
+    view: View | None
+
+    def __str__(self) -> str:
+        told = ", ".join(f"{name} in {share:.0%}" for name, share in sorted(self.outside.items(), key=lambda o: -o[1]))
+        cure = "the camera's whole image is too small: move it back"
+        if v := self.view:
+            cure = f"view {{share: {v.share:.2f}, up: {v.up:.2f}, right: {v.right:.2f}}} shows them"
+        return f"parts of the robot leave the picture: {told} of the frames. What is not seen cannot be read; {cure}"
+
+
+def warn_if_outside(worlds: Worlds, recording: Path) -> None:
+    """Say which parts leave the picture in a recording of the source with ``simulation``, and which view shows them."""
+    simulations = [e.observations.get("simulation", ()) for e in read_trajectories(recording)]
+    if not all(map(len, simulations)):
+        return  # of a run of an earlier version
+    rows = np.concatenate(simulations)
+    chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int)]
+    found = framing(worlds.source_domain.compile(), chosen, worlds.view)
+    if found.outside:
+        log.warning("%s", found)
+
+
+def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View) -> Framing:
+    """What leaves the picture.
+
+    Args:
+        model: with the camera's whole image.
+        simulations: as :meth:`.VectorImageEnv.restore` takes them.
+        view: the part of the image that is rendered.
+    """
+    geoms = moving_geoms(model)
+    points = np.array([seen_at(model, row, geoms) for row in simulations]).reshape(-1, len(geoms), 3, 2)
+    out = (np.abs(points - [view.right, view.up]) > view.share / 2).any((2, 3)).mean(0)
+    partly = (out > SELDOM) & (out < MOSTLY)
+    names = [model.geom(g).name or model.body(model.geom_bodyid[g]).name for g in geoms]
+    outside: dict[str, float] = {}
+    for name, share in zip(np.array(names)[partly], out[partly], strict=True):
+        outside[str(name)] = max(outside.get(str(name), 0.0), float(share))
+    return Framing(outside, wide_enough(points[:, out < MOSTLY].reshape(-1, 2)) if outside else None)
+
+
+def wide_enough(points: np.ndarray) -> View | None:
+    """The smallest view with nearly all points (n, 2), to the next hundredth; None if it is wider than the image."""
+    (left, bottom), (right, top) = np.quantile(points, [KEPT, 1 - KEPT], axis=0)
+    middle, above = round((left + right) / 2, 2), round((top + bottom) / 2, 2)
+    share = np.ceil(200 * max(middle - left, right - middle, top - above, above - bottom)) / 100
+    return View(float(share), float(above), float(middle)) if share <= 1 else None
+
+
+def moving_geoms(model: mujoco.MjModel) -> list[int]:
+    """Geoms that are drawn and whose bodies move."""
+    return [
+        g for g in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[g]] and model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3]
+    ]  # fmt: skip
+
+
+def seen_at(model: mujoco.MjModel, simulation: np.ndarray, geoms: list[int]) -> np.ndarray:
+    """Where in the image a geom's middle and its ends are, (g, 3, 2): right and up from its middle, in its heights."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, simulation, SHOWN)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+    axes = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, :, 2]
+    half = [model.geom_size[g, 1] if model.geom_type[g] in _ENDS else 0.0 for g in geoms]
+    reach = axes * np.array(half)[:, None]
+    middle, camera = data.geom_xpos[geoms], model.camera(CAMERA).id
+    points = np.stack([middle, middle + reach, middle - reach], 1) - data.cam_xpos[camera]
+    right, up, back = np.moveaxis(points @ data.cam_xmat[camera].reshape(3, 3), -1, 0)
+    height = 2 * np.tan(np.deg2rad(model.cam_fovy[camera]) / 2)
+    return np.stack([right, up], -1) / (np.maximum(-back, 1e-6) * height)[..., None]
