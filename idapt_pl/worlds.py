@@ -60,9 +60,9 @@ class Worlds:
         """The worlds that policies train in: variants of the source as it is now; none where that is not randomised."""
         return draw_variants(self.distribution, self.source_domain, self.variant_count, self.variant_seed)
 
-    def training_source(self, num_envs: int) -> VectorImageEnv:
+    def training_source(self, num_envs: int, whole: bool = False) -> VectorImageEnv:
         """The source as policies train in it: randomised, if the run's is."""
-        return self.look.simulate(self.task, self.source_domain, num_envs, self.variants)
+        return self.look.simulate(self.task, self.source_domain, num_envs, self.variants, whole)
 
     def source_states(self, num_envs: int) -> VectorStateEnv:
         """The source: state and reward; nothing is rendered."""

@@ -24,6 +24,8 @@ FRAMES = 500
 """That are looked at, at most."""
 KEPT = 0.005
 """Share of the frames that a wider view may still cut, at either side."""
+MARGIN = 0.01
+"""Around all points, in heights of the image, as what they are of has a width."""
 VISIBLE_GROUPS = 3
 """MuJoCo draws geoms of the groups below."""
 
@@ -47,7 +49,7 @@ class Framing:
         told = ", ".join(f"{name} in {share:.0%}" for name, share in sorted(self.outside.items(), key=lambda o: -o[1]))
         cure = "the camera's whole image is too small: move it back"
         if v := self.view:
-            cure = f"view {{share: {v.share:.2f}, up: {v.up:.2f}, right: {v.right:.2f}}} shows them"
+            cure = f"view {{share: {v.share:g}, up: {v.up:g}, right: {v.right:g}}} shows them"
         return f"parts of the robot leave the picture: {told} of the frames. What is not seen cannot be read; {cure}"
 
 
@@ -85,9 +87,9 @@ def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View
 def wide_enough(points: np.ndarray) -> View | None:
     """The smallest view with nearly all points (n, 2), to the next hundredth; None if it is wider than the image."""
     (left, bottom), (right, top) = np.quantile(points, [KEPT, 1 - KEPT], axis=0)
-    middle, above = round((left + right) / 2, 2), round((top + bottom) / 2, 2)
-    share = np.ceil(200 * max(middle - left, right - middle, top - above, above - bottom)) / 100
-    return View(float(share), float(above), float(middle)) if share <= 1 else None
+    middle, above = (round(float(ends) / 2, 2) + 0.0 for ends in (left + right, top + bottom))  # 0.0 for -0.0
+    share = np.ceil(200 * (MARGIN + max(middle - left, right - middle, top - above, above - bottom))) / 100
+    return View(float(share), above, middle) if share <= 1 else None
 
 
 def moving_geoms(model: mujoco.MjModel) -> list[int]:

@@ -30,6 +30,7 @@ from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.distillation import copy_critics, numbered
 from idapt_pl.stages.encoder import fit_encoder_on
+from idapt_pl.stages.framing import warn_if_outside
 from idapt_pl.stages.schedule import StageLengths
 
 SIMULATIONS = 8
@@ -111,15 +112,21 @@ def rehearse(
     c: StageContext, step: int, name: str, teacher: StateSAC, policy: AsymmetricSAC | None,
     G: VisualTransformation | None, F: ActionTransformation | None,
 ) -> Path:  # fmt: skip
-    """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states."""
+    """``<name>.h5``: what the source behind G and F shows of the teacher's motions, or of the policy's, with states.
+
+    Warns of parts of the robot that leave the picture in the teacher's.
+    """
 
     def make(seed: int) -> Trajectories:
-        source = c.worlds.training_source(SIMULATIONS)
+        source = c.worlds.training_source(SIMULATIONS, whole=policy is None)
         with closing(c.worlds.grounded_over(source, G, F)) as env:
             act = Rehearsal(source, teacher, seed, deterministic(policy) if policy is not None else None)
             return collect(env, act, c.teacher.settings.rehearse // 2, seed, f"rehearsal in the source, step {step}")
 
-    return c.stages.record(step, name, make)[0]
+    path = c.stages.record(step, name, make)[0]
+    if policy is None:
+        warn_if_outside(c.worlds, path)
+    return path
 
 
 def fit_filter(
