@@ -22,9 +22,9 @@ SELDOM, MOSTLY = 0.05, 0.95
 """Shares of the frames. What is out of the picture more seldom does no harm, and what mostly is, is meant to be."""
 FRAMES = 500
 """That are looked at, at most."""
-KEPT = 0.005
+CUT_OFF = 0.005
 """Share of the frames that a wider view may still cut, at either side."""
-MARGIN = 0.01
+AROUND = 0.01
 """Around all points, in heights of the image, as what they are of has a width."""
 VISIBLE_GROUPS = 3
 """MuJoCo draws geoms of the groups below."""
@@ -73,7 +73,7 @@ def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View
         simulations: as :meth:`.VectorImageEnv.restore` takes them.
         view: the part of the image that is rendered.
     """
-    geoms = moving_geoms(model)
+    geoms = drawn_geoms(model)
     points = np.array([seen_at(model, row, geoms) for row in simulations]).reshape(-1, len(geoms), 3, 2)
     out = (np.abs(points - [view.right, view.up]) > view.share / 2).any((2, 3)).mean(0)
     partly = (out > SELDOM) & (out < MOSTLY)
@@ -86,13 +86,13 @@ def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View
 
 def wide_enough(points: np.ndarray) -> View | None:
     """The smallest view with nearly all points (n, 2), to the next hundredth; None if it is wider than the image."""
-    (left, bottom), (right, top) = np.quantile(points, [KEPT, 1 - KEPT], axis=0)
+    (left, bottom), (right, top) = np.quantile(points, [CUT_OFF, 1 - CUT_OFF], axis=0)
     middle, above = (round(float(ends) / 2, 2) + 0.0 for ends in (left + right, top + bottom))  # 0.0 for -0.0
-    share = np.ceil(200 * (MARGIN + max(middle - left, right - middle, top - above, above - bottom))) / 100
+    share = np.ceil(200 * (AROUND + max(middle - left, right - middle, top - above, above - bottom))) / 100
     return View(float(share), above, middle) if share <= 1 else None
 
 
-def moving_geoms(model: mujoco.MjModel) -> list[int]:
+def drawn_geoms(model: mujoco.MjModel) -> list[int]:
     """Geoms that are drawn and whose bodies move."""
     return [
         g for g in range(model.ngeom)

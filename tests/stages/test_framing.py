@@ -14,7 +14,7 @@ from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.envs.image_env import SHOWN
 from idapt_pl.rendering.make import make_renderer
-from idapt_pl.stages.framing import framing, moving_geoms, seen_at, warn_if_outside, wide_enough
+from idapt_pl.stages.framing import framing, drawn_geoms, seen_at, warn_if_outside, wide_enough
 
 MODEL = """
 <mujoco><worldbody>
@@ -60,7 +60,7 @@ def positions():
 def test_what_is_said_to_reach_out_does_in_the_pictures(view, positions):
     drawn = touches_the_edge(view, positions)
     model = DOMAIN.compile()
-    (points,) = np.array([seen_at(model, s, moving_geoms(model)) for s in at(positions)]).swapaxes(0, 1)
+    (points,) = np.array([seen_at(model, s, drawn_geoms(model)) for s in at(positions)]).swapaxes(0, 1)
     edges = view.share / 2 - np.abs(points - [view.right, view.up])
     out, plain = (edges < 0).any((1, 2)), (np.abs(edges) > 0.02).all((1, 2))  # the bar has a width, pixels have too
     partly = (edges > 0.02).all(2).any(1)  # something is left to be seen
