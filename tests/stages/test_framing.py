@@ -14,7 +14,7 @@ from datamodules import Episode, Trajectories, write_trajectories
 from idapt_pl.effects import WHOLE, Domain, View
 from idapt_pl.envs.image_env import SHOWN
 from idapt_pl.rendering.make import make_renderer
-from idapt_pl.stages.framing import framing, drawn_geoms, seen_at, warn_if_outside, wide_enough
+from idapt_pl.stages.framing import drawn_geoms, framing, seen_at, warn_if_outside, wide_enough
 
 MODEL = """
 <mujoco><worldbody>
