@@ -73,7 +73,8 @@ def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View
         simulations: as :meth:`.VectorImageEnv.restore` takes them.
         view: the part of the image that is rendered.
     """
-    geoms = drawn_geoms(model)
+    if not (geoms := drawn_geoms(model)):
+        return Framing({}, None)
     points = np.array([seen_at(model, row, geoms) for row in simulations]).reshape(-1, len(geoms), 3, 2)
     out = (np.abs(points - [view.right, view.up]) > view.share / 2).any((2, 3)).mean(0)
     partly = (out > SELDOM) & (out < MOSTLY)

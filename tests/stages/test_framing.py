@@ -83,6 +83,13 @@ def test_a_robot_in_the_picture_is_not_spoken_of(positions):
     assert found.outside == {} and found.view is None
 
 
+def test_a_world_in_which_nothing_moves_is_not_spoken_of():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><camera name='view'/><geom size='1'/></worldbody></mujoco>"
+    )
+    assert framing(model, [np.empty(mujoco.mj_stateSize(model, SHOWN))], View(0.1)).outside == {}
+
+
 def test_what_is_mostly_outside_is_meant_to_be(positions):
     assert framing(DOMAIN.compile(), at(0.3 * positions), View(0.1, 0.0)).outside == {}
 
