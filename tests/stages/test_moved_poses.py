@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -9,12 +10,15 @@ import numpy as np
 import pytest
 import torch
 
+from cli.main import main
 from datamodules import Episode, Trajectories, read_trajectories, write_trajectories
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import stack_channels
 from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages import on_estimates, state_predictor
 from idapt_pl.stages.moved_poses import KNOT, joint_spread, move, moved_poses, wandering
+from idapt_pl.stages.schedule import StageLengths
 from idapt_pl.stages.settings import PoseSettings
 from idapt_pl.tasks import make_task
 
@@ -169,3 +173,37 @@ def test_they_are_a_stage_of_the_run(pendulum, tmp_path):
     assert path.name == "moved.h5" and made.source.endswith("with every joint moved")
     assert made.total_steps + len(made) == 27
     assert moved_poses(context, 0, []) == [path], "a resumed run takes what there is"
+
+
+def test_predictor_and_encoder_of_a_run_learn_from_them(tmp_path, tiny_args, monkeypatch):
+    learned, plain = {}, state_predictor.LabelledImages
+
+    def watched(source, *rest):
+        learned.setdefault(len(learned), [f"{Path(path).parent.name}/{Path(path).name}" for path in source])
+        return plain(source, *rest)
+
+    monkeypatch.setattr(state_predictor, "LabelledImages", watched)
+    run = tmp_path / "run"
+    assert main(["fit", *tiny_args(run, poses__spread=0.5, poses__images=20, schedule__grounding_steps=0)]) == 0
+    assert list(learned.values()) == [
+        ["step_00/source.h5", "step_00/moved.h5"],
+        ["step_00/translated.h5", "step_00/moved_translated.h5"],
+    ]
+    moved, shown = (read_trajectories(run / f"step_00/{name}.h5") for name in ("moved", "moved_translated"))
+    assert (states_of(moved) == states_of(shown)).all() and 20 <= len(states_of(moved)) < 60
+    assert any((a.observations["pixels"] != b.observations["pixels"]).any() for a, b in zip(moved, shown, strict=True))
+
+
+def test_a_filter_learns_from_motions_alone(monkeypatch):
+    learned = {"estimator": [], "filter": []}
+    stages = {
+        "rehearse": lambda c, step, name, *rest: name,
+        "fit_encoder_on": lambda c, step, name, files, batches, pi: learned["estimator"].append(files) or pi,
+        "fit_filter": lambda c, step, name, files, batches, pi: learned["filter"].append(list(files)) or pi,
+        "take_over": lambda teacher, pi: None,
+    }
+    for name, stage in stages.items():
+        monkeypatch.setattr(on_estimates, name, stage)
+    on_estimates.in_rehearsals(None, 0, "", StageLengths(1, 1), ["known"], None, "pi", None, None, 1, ["poses"])
+    assert learned["filter"] == [["known", "rehearsal_teacher"], ["known", "rehearsal_teacher", "rehearsal_policy"]]
+    assert learned["estimator"] == [[*files, "poses"] for files in learned["filter"]]
