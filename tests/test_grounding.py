@@ -210,7 +210,7 @@ def test_exploration_of_the_source_may_be_longer(finished_run):
 
 def test_target_files_hold_images_and_actions_only_and_source_files_states_too(finished_run):
     for k in range(STEPS + 1):
-        for name, observations in (("target", {"pixels"}), ("source", {"pixels", "state"})):
+        for name, observations in (("target", {"pixels"}), ("source", {"pixels", "state", "simulation"})):
             for e in read_trajectories(finished_run / f"step_{k:02d}/{name}.h5"):
                 assert set(e.observations) == observations
                 assert (e.rewards is None) == (name == "target")
