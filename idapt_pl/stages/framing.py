@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from datamodules import read_trajectories
+from datamodules.trajectories import open_trajectory_file
 from idapt_pl.effects import View
 from idapt_pl.effects.visual import CAMERA
 from idapt_pl.envs.image_env import SHOWN
@@ -55,8 +55,10 @@ class Framing:
 
 def warn_if_outside(worlds: Worlds, recording: Path) -> None:
     """Say which parts leave the picture in a recording of the source with ``simulation``, and which view shows them."""
-    simulations = [e.observations.get("simulation", ()) for e in read_trajectories(recording)]
-    if not all(map(len, simulations)):
+    with open_trajectory_file(recording) as f:  # its images, which take longest to read, are not looked at
+        observations = [group["observations"] for name, group in f.items() if name.startswith("episode_")]
+        simulations = [shown["simulation"][()] for shown in observations if "simulation" in shown]
+    if not simulations:
         return  # of a run of an earlier version
     rows = np.concatenate(simulations)
     chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int)]

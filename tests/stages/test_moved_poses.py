@@ -176,16 +176,16 @@ def test_they_are_a_stage_of_the_run(pendulum, tmp_path):
 
 
 def test_predictor_and_encoder_of_a_run_learn_from_them(tmp_path, tiny_args, monkeypatch):
-    learned, plain = {}, state_predictor.LabelledImages
+    learned, plain = [], state_predictor.LabelledImages
 
     def watched(source, *rest):
-        learned.setdefault(len(learned), [f"{Path(path).parent.name}/{Path(path).name}" for path in source])
+        learned.append([f"{Path(path).parent.name}/{Path(path).name}" for path in source])
         return plain(source, *rest)
 
     monkeypatch.setattr(state_predictor, "LabelledImages", watched)
     run = tmp_path / "run"
     assert main(["fit", *tiny_args(run, poses__spread=0.5, poses__images=20, schedule__grounding_steps=0)]) == 0
-    assert list(learned.values()) == [
+    assert learned == [
         ["step_00/source.h5", "step_00/moved.h5"],
         ["step_00/translated.h5", "step_00/moved_translated.h5"],
     ]

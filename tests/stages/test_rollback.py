@@ -267,9 +267,9 @@ def test_a_step_that_is_rolled_back_trains_without_its_f_and_a_resumed_run_repea
         real = compare_transformations(worlds, pi, G, F, F_before, target, seed)
         return replace(real, rolled_back=len(seen) == 1)  # the first step is, the second is not
 
-    def watched(context, step, lengths, G, F, initial, source):
+    def watched(context, step, lengths, G, F, *others):
         trained_with.append(F is not None)
-        return fit_grounded_policy(context, step, lengths, G, F, initial, source)
+        return fit_grounded_policy(context, step, lengths, G, F, *others)
 
     monkeypatch.setattr("idapt_pl.grounding.fit_grounded_policy", watched)
     monkeypatch.setattr("idapt_pl.stages.rollback.compare_transformations", worse)
