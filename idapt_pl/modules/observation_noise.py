@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from idapt_pl.nets.encoder import PixelStatePredictor
+from idapt_pl.nets.encoder import PixelStatePredictor, backward_difference
 
 
 class NoObservationNoise:
@@ -51,6 +51,66 @@ class ObservationNoise(NoObservationNoise):
     def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What :meth:`AsymmetricSAC.remember` returned, with the noise."""
         return {**seen, "observation": seen["observation"] * self.gain + self.offset}
+
+
+class Flicker(NoObservationNoise):
+    """Noise of every image's own on the positions that are read off it, and what it does to rates taken from three.
+
+    Real images are read with errors that change from image to image, and the slope of three readings shows them many
+    times as large as the readings themselves. G's images of the source are read more smoothly, so a policy that trains
+    on them learns to answer rates as it could not in the target.
+
+    Args:
+        predictor: what estimates the standardised state.
+        num_envs: n.
+        spread: standard deviation of the noise, in units of the data's spread.
+        seed: of the draws.
+    """
+
+    FRAMES = 3
+
+    def __init__(self, predictor: PixelStatePredictor, num_envs: int, spread: float, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        size = predictor.std.cpu().numpy()
+        self._shown, self._noise = predictor.shown, spread * size[predictor.shown]  # in the state's units
+        self._rates = {r: predictor.shown.index(of) for r, of in predictor.rates.items()}
+        self._size, self._dt = size, predictor.dt
+        self._frames = np.zeros((self.FRAMES, num_envs, len(self._shown)))
+        self._begun = np.ones(num_envs, bool)
+
+    def renew(self, episodes: np.ndarray) -> None:
+        """Episodes begin, bool (n,): their first image stands for those before it."""
+        self._begun |= episodes
+
+    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """What :meth:`AsymmetricSAC.remember` returned, with the noise of one image more."""
+        newest = self._noise * self._rng.normal(size=self._frames.shape[1:])
+        self._frames = np.concatenate([self._frames[1:], newest[None]])
+        self._frames[:, self._begun] = newest[self._begun]
+        self._begun[:] = False
+        wrong = np.zeros_like(seen["observation"])
+        wrong[:, self._shown] = newest / self._size[self._shown]
+        slope = backward_difference(self._frames) / self._dt
+        for rate, position in self._rates.items():
+            wrong[:, rate] = slope[:, position] / self._size[rate]
+        return {**seen, "observation": seen["observation"] + wrong}
+
+
+class Several(NoObservationNoise):
+    """Several noises, one upon the other."""
+
+    def __init__(self, *noises: NoObservationNoise) -> None:
+        self._noises = noises
+
+    def renew(self, episodes: np.ndarray) -> None:
+        """Draw anew for some simulations."""
+        for noise in self._noises:
+            noise.renew(episodes)
+
+    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        for noise in self._noises:
+            seen = noise(seen)
+        return seen
 
 
 class SlowNoise(NoObservationNoise):

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from idapt_pl.modules.actor_critic import Actor
 from idapt_pl.modules.manual import fast_precision
-from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNoise
+from idapt_pl.modules.observation_noise import Flicker, NoObservationNoise, ObservationNoise, Several
 from idapt_pl.modules.sac import SAC, unstack
 from idapt_pl.modules.visual import VisualTransformation
 from idapt_pl.nets.encoder import PixelEncoder, PixelStatePredictor, Vision
@@ -48,6 +48,8 @@ class AsymmetricSAC(SAC):
         lr_estimator: with ``supervised``, Adam.
         misperception: with ``supervised``, spread of the gains and offsets (in units of the data's spread) that the
             estimates have while training, new ones in every episode (:class:`.ObservationNoise`).
+        flicker: with ``supervised``, standard deviation (in units of the data's spread) of a noise that every image's
+            estimates have of their own, while training and in trials (:class:`.Flicker`).
         relight: with ``supervised``, how much the light of images varies while the encoder learns from them
             (:func:`~idapt_pl.nets.images.relight`): G gives the target's usual light, and the target has others.
         action_cost: taken off the reward while training, times the mean squared action in -1..1. Where a reward does
@@ -87,6 +89,7 @@ class AsymmetricSAC(SAC):
         estimator_batch: int = 32,
         lr_estimator: float = 1e-3,
         misperception: float = 0.0,
+        flicker: float = 0.0,
         relight: float = 0.0,
         action_cost: float = 0.0,
         unfamiliarity_cost: float = 0.0,
@@ -150,9 +153,16 @@ class AsymmetricSAC(SAC):
 
     def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
         """What becomes of f(o) on its way to the policy while it trains in ``num_envs`` simulations."""
-        if self.hparams.encoder == "learned" or not self.hparams.misperception:
+        if not self.supervised or not self.hparams.misperception:
+            return self.flicker(num_envs, seed)
+        wrong = ObservationNoise(self.actor.encoder, num_envs, self.hparams.misperception, seed)
+        return Several(wrong, self.flicker(num_envs, seed)) if self.hparams.flicker else wrong
+
+    def flicker(self, num_envs: int, seed: int) -> NoObservationNoise:
+        """The part of it that changes from image to image, which trials have too."""
+        if not self.supervised or not self.hparams.flicker:
             return NoObservationNoise()
-        return ObservationNoise(self.actor.encoder, num_envs, self.hparams.misperception, seed)
+        return Flicker(self.actor.encoder, num_envs, self.hparams.flicker, seed)
 
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:

@@ -31,8 +31,8 @@ MODULE_RANGES: dict[str, dict[str, Range]] = {
         "hidden": WIDTH, "lr": RATE, "lr_floor": SHARE, "gamma": SHARE, "tau": Range(0, 1, "(]"),
         "temperature": POSITIVE, "target_entropy": Range(-1e6, 1e6), "actor_every": Range(1, 1e6),
         "estimator_updates": Range(0, 1e6), "estimator_batch": BATCH, "lr_estimator": RATE,
-        "misperception": NOT_NEGATIVE, "relight": Range(0, 3), "memory": Range(0, 16384), "recurrent": Range(0, 16384),
-        "sequence": Range(1, 10_000), "action_cost": NOT_NEGATIVE,
+        "misperception": NOT_NEGATIVE, "flicker": NOT_NEGATIVE, "relight": Range(0, 3), "memory": Range(0, 16384),
+        "recurrent": Range(0, 16384), "sequence": Range(1, 10_000), "action_cost": NOT_NEGATIVE,
         "unfamiliarity_cost": NOT_NEGATIVE,
     },
 }  # fmt: skip

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
+import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
@@ -16,6 +17,7 @@ from idapt_pl.nets.units import Units, give_in_units, take_in_units
 from idapt_pl.ranges import Range, check_ranges
 
 Pool = Literal["flatten", "keypoints"]
+FrameValues = TypeVar("FrameValues", Tensor, np.ndarray)
 
 
 def orthogonal_init(module: nn.Module) -> None:
@@ -108,6 +110,12 @@ class PixelEncoder(nn.Module):
         return self(center_crop(stack_channels(pixels), self.crop))
 
 
+def backward_difference(frames: FrameValues) -> FrameValues:
+    """What changes from frame to frame, (...), at the last of ``frames`` (k, ...); of second order if k > 2."""
+    last = frames[-1] - frames[-2]
+    return 1.5 * last - 0.5 * (frames[-2] - frames[-3]) if len(frames) > 2 else last
+
+
 class PixelStatePredictor(nn.Module):
     """P: a frame stack to the state. Encoder and a 2-layer MLP, predicting standardised states.
 
@@ -156,8 +164,7 @@ class PixelStatePredictor(nn.Module):
         shown = self.mlp(self.encoder(frames.flatten(0, 1))).float().unflatten(0, (-1, k))  # (b, k, shown)
         state = shown.new_zeros(len(images), self.features)
         state[:, self.shown] = shown[:, -1]
-        step = shown.diff(dim=1)  # (b, k-1, shown)
-        slope = 1.5 * step[:, -1] - 0.5 * step[:, -2] if k > 2 else step[:, -1]
+        slope = backward_difference(shown.transpose(0, 1))
         for rate, of in self.rates.items():
             per_second = slope[:, self.shown.index(of)] * self.std[of] / self.dt
             state[:, rate] = (per_second - self.mean[rate]) / self.std[rate]

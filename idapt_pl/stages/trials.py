@@ -13,7 +13,7 @@ from contextlib import closing
 from gymnasium.vector import VectorEnv
 
 from idapt_pl.modules import AsymmetricSAC
-from idapt_pl.rl.policy import deterministic
+from idapt_pl.rl.flickering import FlickeringPolicy
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.stage import TRAIN_AGAIN
 
@@ -23,9 +23,9 @@ A_TENTH = 0.1
 
 
 def trial(policy: AsymmetricSAC, env: VectorEnv, episodes: int) -> float:
-    """Mean return (or success) of a policy with its mean action; closes the environment."""
+    """Mean return (or success) of a policy with its mean action, seeing as in training; closes the environment."""
     with closing(env):
-        return evaluate(env, deterministic(policy), episodes, seed=0).mean
+        return evaluate(env, FlickeringPolicy(policy, env.num_envs, seed=0), episodes, seed=0).mean
 
 
 class GroundedTrials:

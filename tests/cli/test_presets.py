@@ -18,8 +18,9 @@ PAPER = {
     # Table II; and no costs, noise, teacher or choice of policies beside them
     "policy.lr": 3e-4, "policy.lr_floor": 0.0, "feeding.policy_batch": 32, "feeding.updates_per_step": 10,
     "policy.gamma": 0.99, "policy.temperature": 0.001, "policy.learn_temperature": False, "policy.action_cost": 0.0,
-    "policy.unfamiliarity_cost": 0.0, "policy.misperception": 0.0, "teacher.steps": 0, "teacher.adapt": 0,
-    "teacher.dagger": 0, "feeding.trial_episodes": 0, "feeding.trial_repeats": 0,
+    "policy.unfamiliarity_cost": 0.0, "policy.misperception": 0.0, "policy.flicker": 0.0,
+    "teacher.steps": 0, "teacher.adapt": 0, "teacher.dagger": 0, "feeding.trial_episodes": 0,
+    "feeding.trial_repeats": 0,
     # Appendix: Visual Transformation; equation 2
     "state_predictor.lr": 3e-4, "schedule.pretrain.state_predictor": 40 * 20_000 // 32,
     "schedule.pretrain.visual": 40 * 20_000 // 8, "schedule.finetune.state_predictor": 160,

@@ -1,11 +1,11 @@
-"""What a policy sees of its estimates while it trains: laws of the gains and offsets."""
+"""What a policy sees of its estimates while it trains: laws of gains, offsets and noise from image to image."""
 
 import numpy as np
 import pytest
 import torch
 
 from idapt_pl.modules import AsymmetricSAC
-from idapt_pl.modules.observation_noise import NoObservationNoise, ObservationNoise
+from idapt_pl.modules.observation_noise import Flicker, NoObservationNoise, ObservationNoise
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import jitter
 
@@ -47,7 +47,67 @@ def test_spread_is_as_asked():
     assert perceive.offset[:, :2].std() == pytest.approx(0.1, rel=0.03)
 
 
-@pytest.mark.parametrize("settings", [{"misperception": 0.0}, {"misperception": 0.1, "encoder": "learned"}])
+def scaled_encoder():
+    encoder = policy().actor.encoder
+    encoder.std.copy_(torch.tensor([0.05, 0.1, 0.5, 1.2]))
+    return encoder
+
+
+def unit(n):
+    return {"observation": np.zeros((n, 4), np.float32)}
+
+
+def test_flicker_is_as_large_as_asked_and_a_rate_has_what_three_frames_make_of_it():
+    encoder = scaled_encoder()
+    see = Flicker(encoder, 50_000, 0.05, seed=0)
+    before = [see(unit(50_000))["observation"] for _ in range(3)][-1]
+    now = see(unit(50_000))["observation"]
+    assert now[:, :2].std(0) == pytest.approx([0.05, 0.05], rel=0.02)
+    assert np.abs(np.corrcoef(now[:, 1], before[:, 1])[0, 1]) < 0.02, "every image has its own"
+    per_second = 0.05 * np.sqrt(1.5**2 + 2**2 + 0.5**2) / 0.04
+    assert now[:, 2:].std(0) == pytest.approx(per_second * np.array([0.05 / 0.5, 0.1 / 1.2]), rel=0.02)
+
+
+def test_flickering_rates_are_those_that_the_encoder_takes_from_flickering_positions():
+    encoder = scaled_encoder()
+    see = Flicker(encoder, 1, 0.05, seed=0)
+    seen = np.concatenate([see(unit(1))["observation"] for _ in range(3)])
+    positions = torch.from_numpy(seen[:, :2]).double() * encoder.std[:2]
+    step = positions.diff(dim=0)
+    slope = (1.5 * step[1] - 0.5 * step[0]) / 0.04
+    assert seen[2, 2:] * encoder.std[2:].numpy() == pytest.approx(slope.numpy(), rel=1e-5)
+
+
+def test_an_episode_begins_with_rates_at_rest_while_others_go_on():
+    see = Flicker(scaled_encoder(), 3, 0.05, seed=0)
+    assert (see(unit(3))["observation"][:, 2:] == 0).all()
+    assert (see(unit(3))["observation"][:, 2:] != 0).all()
+    see.renew(np.array([False, True, False]))
+    now = see(unit(3))["observation"]
+    assert (now[:, 2:] == 0).all(1).tolist() == [False, True, False] and (now[:, :2] != 0).all()
+
+
+def test_gains_and_offsets_go_with_flicker():
+    both = policy(misperception=0.1, flicker=0.05).observation_noise(2, 0)
+    slow = policy(misperception=0.1).observation_noise(2, 0)
+    ones = {"observation": np.ones((2, 4), np.float32)}
+    assert np.array_equal(slow(ones)["observation"], slow(ones)["observation"])
+    first, second = (both(ones)["observation"] for _ in range(2))
+    assert (first != second)[:, :2].all()
+    assert np.allclose(first[:, 2:], slow(ones)["observation"][:, 2:]), "the first image of an episode shows no rates"
+    both.renew(np.array([True, False]))
+    third = both(ones)["observation"]
+    assert (third[0, 2:] != first[0, 2:]).all(), "another gain"
+
+
+NOTHING_SEEN_WRONGLY = [
+    {"misperception": 0.0},
+    {"misperception": 0.1, "encoder": "learned"},
+    {"flicker": 0.1, "encoder": "learned"},
+]
+
+
+@pytest.mark.parametrize("settings", NOTHING_SEEN_WRONGLY)
 def test_nothing_is_misperceived_where_nothing_is_estimated_or_asked_for(settings):
     assert type(policy(**settings).observation_noise(2, 0)) is NoObservationNoise
 
