@@ -59,9 +59,12 @@ def main(args: list[str]) -> int:
             "reached is in its summary.json. For other episodes, run it again with --episodes and a new --run_dir"
         )
     if o.outcomes is not None or not run.worlds.target.playable:
-        told = told_policies(run, o.outcomes)
-        run.restore_ledger()  # afterwards: an earlier table counts no more
-        return reported(run, told, run.folder / EVALUATED_BY_HAND, o.json)
+        table = run.folder / EVALUATED_BY_HAND
+        run.restore_ledger()
+        earlier, told = table.exists(), told_policies(run, o.outcomes)
+        if earlier:
+            run.restore_ledger()  # once more: an earlier table counts no more
+        return reported(run, told, table, o.json)
     if not run.worlds.target.measured:
         raise ValueError(
             f"the target {run.worlds.target.name} is not measured. To have its rewards read (or, with ask, to be "

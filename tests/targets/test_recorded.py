@@ -177,7 +177,7 @@ def test_recordings_are_missed_before_anything_trains_but_not_where_the_run_has_
     target.look_for(LOOK, {0})
 
 
-def test_a_run_on_recordings_alone(tmp_path, capsys):
+def test_a_run_on_recordings_alone(tmp_path, capsys, caplog):
     write_trajectories(tmp_path / "a.h5", Trajectories(tuple(episodes()), 0.04, ""))
     config, run = written(tmp_path, recordings=[str(tmp_path / "a.h5")]), tmp_path / "run"
     command = ["fit", "--config", str(config), "--run_dir", str(run)]
@@ -198,7 +198,8 @@ def test_a_run_on_recordings_alone(tmp_path, capsys):
     table.write_text("step,outcome,control_steps\n1,2.5,40\n")
     assert main(evaluate) == 1 and "step is '1'; the run has policies of direct, 0" in capsys.readouterr().err
     table.write_text("step,outcome,control_steps\n0,2.5,40\n")
-    assert main(evaluate) == 0
+    with caplog.at_level("INFO"):
+        assert main(evaluate) == 0 and "corrected" not in caplog.text, "what is told first corrects nothing"
     table.write_text("step,outcome,control_steps\n0,2.5,40\ndirect,1,20\n0,3.5,41\n")
     capsys.readouterr()
     assert main([*evaluate, "--json"]) == main(["ledger", "--run", str(run), "--json"]) == 0
