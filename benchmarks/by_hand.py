@@ -17,6 +17,7 @@ import argparse
 import csv
 import importlib.util
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -56,18 +57,26 @@ def config_for(target: dict, out: Path) -> Path:
 
 def played_policy(folder: Path, file: str = "policy.onnx"):
     """The policy as ``play.py`` beside it plays it."""
+    sys.dont_write_bytecode = True
     spec = importlib.util.spec_from_file_location("play", folder / "play.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.PlayedPolicy(str(folder / file))
 
 
+def recorded(folder: Path) -> list[int]:
+    """Control steps of the episodes that lie there."""
+    tables = folder.glob("episode_*/actions.csv")
+    return [len(np.loadtxt(table, skiprows=1, ndmin=1)) for table in tables]
+
+
 def record(env, act: Act, begin: Callable[[], None], folder: Path, steps: int) -> None:
     """Episodes of so many control steps together: pictures before the first action and after each, and a table."""
-    taken, number = 0, 0
+    taken, number = 0, len(recorded(folder))
     while taken < steps:
         number += 1
-        episode = folder / f"episode_{number}"
+        episode = folder / f"episode_{number:03d}"
+        shutil.rmtree(episode, ignore_errors=True)  # one without a table, that was not played to its end
         episode.mkdir()
         begin()
         image, _ = env.reset(seed=number)
@@ -81,16 +90,17 @@ def record(env, act: Act, begin: Callable[[], None], folder: Path, steps: int) -
         np.savetxt(episode / "actions.csv", actions, delimiter=",", header="force", comments="")
 
 
-def bring(inbox: Path, env, config: dict) -> None:
+def bring(inbox: Path, env, interactions: int) -> None:
     """Record what a waiting run has asked for: the newest folder of its inbox."""
     place = max(inbox.glob("step_*"))
+    brought = sum(recorded(place))
     if (place / "policy.onnx").exists():
         policy = played_policy(place)
-        record(env, policy, policy.begin, place, config["schedule"]["interactions"])
+        record(env, policy, policy.begin, place, interactions - brought)
         return
     rows = np.loadtxt(place / "actions_to_play.csv", delimiter=",", skiprows=1, ndmin=2, dtype=np.float32)
-    left = iter(rows)
-    record(env, lambda image: next(left), lambda: None, place, len(rows))
+    left = iter(rows[brought:])
+    record(env, lambda image: next(left), lambda: None, place, len(rows) - brought)
 
 
 def outcomes(env, policy, episodes: int) -> list[tuple[float, int]]:
@@ -147,7 +157,7 @@ def main() -> None:
         config = config_for({"recordings": files} if files else {"by_hand": str(inbox)}, run.with_suffix(".yaml"))
         told = ("fit", "--config", str(config), "--seed", str(seed), "--run_dir", str(run), *extra)
         while (code := idapt(*told)) == WAITS and not files:
-            bring(inbox, env, yaml.safe_load(config.read_text()))
+            bring(inbox, env, yaml.safe_load((run / "config.yaml").read_text())["schedule"]["interactions"])
         if code:
             raise SystemExit(code)
         rows = [measure(run, env, o.episodes, name)]

@@ -83,9 +83,10 @@ class IterativeGrounding:
 
     def run(self) -> list[dict]:
         """Run Algorithm 1, or what is left of it. Returns what was measured after every step (``evaluation.json``)."""
-        done = [self.begin()]
+        c, done = self.context, [self.begin()]
         for k in range(1, length_of(self.schedule.grounding_steps) + 1):
-            D_T = (*done[-1].D_T, record_target(self.context, k, on_policy(done[-1].pi), self.schedule.interactions))
+            new = record_target(c, k, on_policy(c, done[-1].pi), self.schedule.interactions)
+            D_T = (*done[-1].D_T, new)
             if self.settled(k, done[-1], D_T):
                 break
             done.append(self.step(k, done[-1], D_T))
@@ -110,7 +111,7 @@ class IterativeGrounding:
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths = self.context, self.schedule.finetune
-        D_S = (*g.D_S, record_source(c, k, on_policy(g.pi), self.schedule.interactions, g.G, g.F))
+        D_S = (*g.D_S, record_source(c, k, on_policy(c, g.pi), self.schedule.interactions, g.G, g.F))
         moved = moved_poses(c, k, self.recent(D_S))
         P_S = fit_P_S(c, k, (*self.recent(D_S), *moved), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)

@@ -75,8 +75,8 @@ class Correspondence(ABC):
 
     def act_in_target(self, k: int, pi: SAC, G: VisualTransformation) -> Path:
         """D^T of a grounding step: the target's images, while the policy acts on what is made of them."""
-        steps, seen = self.grounding.schedule.interactions, lambda env: self.seen(env, G)
-        return record_target(self.grounding.context, k, on_policy(pi), steps, seen=seen)
+        c, steps = self.grounding.context, self.grounding.schedule.interactions
+        return record_target(c, k, on_policy(c, pi), steps, seen=lambda env: self.seen(env, G))
 
     def measure(self, k: int, pi: SAC, G: VisualTransformation) -> dict:
         """The policy's return in the target, and in the source where that is shown as the target and seen back."""
@@ -112,7 +112,8 @@ class ImageCorrespondence(Correspondence):
         return GroundedEnv(env, G=back, frames=G.frames)
 
     def act_in_source(self, k: int, pi: SAC) -> Path:
-        return record_source(self.grounding.context, k, on_policy(pi), self.grounding.schedule.interactions)
+        c, steps = self.grounding.context, self.grounding.schedule.interactions
+        return record_source(c, k, on_policy(c, pi), steps)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ class NoObservationNoise:
     def renew(self, episodes: np.ndarray) -> None:
         """Nothing to draw."""
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """Observations with noise. Where not ``new``, bool (n,), nothing goes on, and what is returned is no good."""
         return seen
 
 
@@ -48,7 +49,7 @@ class ObservationNoise(NoObservationNoise):
         self.gain[episodes] = 1 + gain[episodes][:, self._of]
         self.offset[episodes] = np.where(shown, offset, 0.0)[episodes]
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """What :meth:`AsymmetricSAC.remember` returned, with the noise."""
         return {**seen, "observation": seen["observation"] * self.gain + self.offset}
 
@@ -65,31 +66,34 @@ class Flicker(NoObservationNoise):
         num_envs: n.
         spread: standard deviation of the noise, in units of the data's spread.
         seed: of the draws.
+        frames: K, of which the last three at most tell rates.
     """
 
-    FRAMES = 3
-
-    def __init__(self, predictor: PixelStatePredictor, num_envs: int, spread: float, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
+    def __init__(
+        self, predictor: PixelStatePredictor, num_envs: int, spread: float, seed: int, frames: int = 3
+    ) -> None:
+        self._rng = np.random.default_rng([seed, 2])  # others draw from the seed itself
         size = predictor.std.cpu().numpy()
         self._shown, self._noise = predictor.shown, spread * size[predictor.shown]  # in the state's units
         self._rates = {r: predictor.shown.index(of) for r, of in predictor.rates.items()}
         self._size, self._dt = size, predictor.dt
-        self._frames = np.zeros((self.FRAMES, num_envs, len(self._shown)))
+        self._frames = np.zeros((min(frames, 3), num_envs, len(self._shown)))
         self._begun = np.ones(num_envs, bool)
 
     def renew(self, episodes: np.ndarray) -> None:
         """Episodes begin, bool (n,): their first image stands for those before it."""
         self._begun |= episodes
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """What :meth:`AsymmetricSAC.remember` returned, with the noise of one image more."""
         newest = self._noise * self._rng.normal(size=self._frames.shape[1:])
-        self._frames = np.concatenate([self._frames[1:], newest[None]])
-        self._frames[:, self._begun] = newest[self._begun]
-        self._begun[:] = False
+        shown = np.concatenate([self._frames[1:], newest[None]])
+        shown[:, self._begun] = newest[self._begun]
+        going_on = np.ones_like(self._begun) if new is None else new
+        self._frames[:, going_on] = shown[:, going_on]
+        self._begun &= ~going_on
         wrong = np.zeros_like(seen["observation"])
-        wrong[:, self._shown] = newest / self._size[self._shown]
+        wrong[:, self._shown] = self._frames[-1] / self._size[self._shown]
         slope = backward_difference(self._frames) / self._dt
         for rate, position in self._rates.items():
             wrong[:, rate] = slope[:, position] / self._size[rate]
@@ -107,9 +111,9 @@ class Several(NoObservationNoise):
         for noise in self._noises:
             noise.renew(episodes)
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
         for noise in self._noises:
-            seen = noise(seen)
+            seen = noise(seen, new)
         return seen
 
 
@@ -137,10 +141,10 @@ class SlowNoise(NoObservationNoise):
         new = self._rng.normal(size=(2, int(episodes.sum()), self._now.shape[1]))
         self._now[episodes], self._constant[episodes] = new
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """States with noise, as ``observation``."""
-        new = self._rng.normal(size=self._now.shape)
-        self._now = self.memory * self._now + np.sqrt(1 - self.memory**2) * new
+        later = self.memory * self._now + np.sqrt(1 - self.memory**2) * self._rng.normal(size=self._now.shape)
+        self._now = later if new is None else np.where(new[:, None], later, self._now)
         wrong = self._spread * self._now + self._offset * self._constant
         return {**seen, "observation": (seen["observation"] + wrong).astype(np.float32)}
 
@@ -180,12 +184,13 @@ class RecordedErrors(NoObservationNoise):
         self._left[episodes] = 0
         self._factor[episodes] = self._rng.uniform(*self.FACTORS, int(episodes.sum()))
 
-    def __call__(self, seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """States with errors, as ``observation``."""
-        over = self._left == 0
+        going_on = np.ones(len(self._left), bool) if new is None else new
+        over = (self._left == 0) & going_on
         self._at[over] = self._rng.choice(self._begins, int(over.sum()))
         self._left[over] = self._rng.integers(*self.STRETCH, int(over.sum()))
         wrong = self._errors[self._at] * self._factor[:, None]
-        self._at += 1
-        self._left -= 1
+        self._at += going_on
+        self._left -= going_on
         return {**seen, "observation": (seen["observation"] + wrong).astype(np.float32)}

@@ -162,7 +162,7 @@ class AsymmetricSAC(SAC):
         """The part of it that changes from image to image, which trials have too."""
         if not self.supervised or not self.hparams.flicker:
             return NoObservationNoise()
-        return Flicker(self.actor.encoder, num_envs, self.hparams.flicker, seed)
+        return Flicker(self.actor.encoder, num_envs, self.hparams.flicker, seed, self.hparams.frame_stack)
 
     @torch.no_grad()
     def act_on(self, remembered: dict[str, np.ndarray]) -> np.ndarray:

@@ -47,7 +47,7 @@ class Experience:
         self._state, self._seen = obs["state"], next_seen
         if done.any():
             self.noise.renew(done)
-            begun = self.noise(self.policy.remember(obs["pixels"]))
+            begun = self.noise(self.policy.remember(obs["pixels"]), done)
             self._seen = {k: rows_from(done, begun[k], seen) for k, seen in next_seen.items()}
         self._return += rewards
         self._finished.extend(self._return[done])

@@ -38,7 +38,8 @@ def grounded_rollouts(
     """
     with closing(worlds.grounded(rollouts, G, F)) as env, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return [FrameStacks(played, worlds.frame_stack) for played in collect_each(env, Acting(policy), steps, seed)]
+        act = Acting(policy, worlds.target.mean_actions)  # as where it was recorded
+        return [FrameStacks(played, worlds.frame_stack) for played in collect_each(env, act, steps, seed)]
 
 
 def half_of_episodes(lengths: Sequence[int]) -> np.ndarray:

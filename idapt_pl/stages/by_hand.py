@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
+from torch import nn
 
 from datamodules.atomic import write_atomically
 from datamodules.episode_folder import ACTIONS
@@ -20,6 +22,9 @@ PLAN = "actions_to_play.csv"
 
 POLICY = "policy.onnx"
 """The policy that is to be recorded."""
+
+MARK = "policy.sha256"
+"""Of its weights: recordings beside it are of this policy, and of no other run's."""
 
 
 class TargetNeeded(WholeError):
@@ -44,15 +49,20 @@ def ask_for_recording(
 
     Raises:
         TargetNeeded: if there are too few yet.
+        ValueError: if they are of another policy.
     """
     brought, place = target.steps_brought(k), target.place(k)
+    if brought and isinstance(policy, Acting):
+        check_policy(place, k, policy)
     if brought >= ENOUGH * steps:
         return
     place.mkdir(parents=True, exist_ok=True)
     if isinstance(policy, Acting):
-        write_policy(place / POLICY, policy.module, worlds, {"policy": f"step_{k:02d}"})
+        write_atomically(place / MARK, lambda temporary: temporary.write_text(weights_hash(policy.module)))
+        write_policy(place / POLICY, policy.module, worlds, {"policy": f"step_{k - 1:02d}"})
         write_play(place)
-        play = f"the policy in {place / POLICY}; play.py beside it shows how, and needs onnxruntime, numpy and pillow"
+        which = f"the policy of step {k - 1}, {place / POLICY}"
+        play = f"{which}; play.py beside it shows how, and needs onnxruntime, numpy and pillow"
     else:
         write_plan(place / PLAN, worlds, policy, steps, horizon)
         often = f"after every {horizon} of them" if horizon else "where it must be"
@@ -71,6 +81,30 @@ def ask_for_recording(
           or trajectory files (.h5, docs/reference/files.md)
   Then    {command}"""
     )
+
+
+def check_policy(place: Path, k: int, policy: Acting) -> None:
+    """What was recorded must be of the policy that was asked for.
+
+    Raises:
+        ValueError: if it is of another.
+    """
+    mark = place / MARK
+    if not mark.exists() or mark.read_text() != weights_hash(policy.module):
+        raise ValueError(
+            f"{place} holds recordings that are not of this run's policy of step {k - 1}: they are another run's, or "
+            "were there before it was asked for. Move them away, or give this run a folder of its own "
+            "(target: {by_hand: ...})"
+        )
+
+
+def weights_hash(module: nn.Module) -> str:
+    """SHA-256 of all weights, hexadecimal."""
+    digest = hashlib.sha256()
+    for name, value in sorted(module.state_dict().items()):
+        digest.update(name.encode())
+        digest.update(value.cpu().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def write_plan(path: Path, worlds: Worlds, policy: Policy, steps: int, horizon: int | None) -> None:

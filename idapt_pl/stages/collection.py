@@ -172,6 +172,6 @@ def replay_in_source(
     return c.stages.record(k, name, make)[0]
 
 
-def on_policy(pi: AsymmetricSAC) -> MakePolicy:
-    """π itself, sampling its actions."""
-    return lambda seed: Acting(pi)
+def on_policy(c: StageContext, pi: AsymmetricSAC) -> MakePolicy:
+    """π itself, sampling its actions, or with its mean action where it is recorded so."""
+    return lambda seed: Acting(pi, c.worlds.target.mean_actions)

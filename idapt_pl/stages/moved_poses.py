@@ -96,9 +96,12 @@ def moved_episode(env: VectorImageEnv, episode: Episode, scale: np.ndarray, rng:
 
 
 def wandering(frames: int, dt: float, scale: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (frames, nv) that go straight from knot to knot, and their rates; at rest at first, as episodes begin."""
+    """Offsets (frames, nv) that go straight from knot to knot, and their rates; at rest at first, as episodes begin.
+
+    A rate is what has brought an offset about, as a simulation's velocities are, and as the frames so far show it.
+    """
     knots = rng.normal(size=(frames // KNOT + 3, len(scale))) * scale
     knots[1] = knots[0]
     slopes = np.diff(knots, axis=0) / (KNOT * dt)
     piece, along = np.divmod(np.arange(frames), KNOT)
-    return knots[piece] + slopes[piece] * along[:, None] * dt, slopes[piece]
+    return knots[piece] + slopes[piece] * along[:, None] * dt, slopes[np.maximum(np.arange(frames) - 1, 0) // KNOT]

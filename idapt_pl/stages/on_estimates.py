@@ -97,13 +97,15 @@ def in_rehearsals(
 
 @torch.no_grad()
 def errors_of_estimates(pi: AsymmetricSAC, files: Sequence[Path]) -> list[np.ndarray]:
-    """How far a policy's estimates are off in labelled episodes, (T+1, s) each, in the states' units."""
+    """How far estimates are off in labelled episodes, (T+1, s) each, in the states' units, as while the policy acts."""
     assert pi.filter is not None  # policy.memory is above 0
     errors = []
     for episode in read_episodes(pi, files):
         readings, actions = (torch.from_numpy(a)[None].to(pi.device) for a in (episode.readings, episode.actions))
-        estimates, _ = pi.filter(readings, actions, readings.new_zeros(1, pi.filter.hidden))
-        wrong = pi.filter.bounded(estimates[0]).cpu() - torch.from_numpy(episode.states)
+        memory, estimates = pi.filter.begin(1), []
+        for reading, memory.action in zip(readings.unbind(1), actions.unbind(1), strict=True):
+            estimates.append(pi.filter.step(reading, memory))
+        wrong = torch.cat(estimates).cpu() - torch.from_numpy(episode.states)
         errors.append((wrong * pi.actor.encoder.std.cpu()).numpy())
     return errors
 

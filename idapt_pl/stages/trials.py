@@ -39,6 +39,8 @@ class GroundedTrials:
 
     def __init__(self, episodes: int, repeats: int, in_source: float | None) -> None:
         self.episodes, self.repeats, self.in_source = episodes, repeats, in_source
+        if repeats and in_source is None:
+            log.warning("feeding.trial_repeats does nothing: no policy was trained and tried in the source by SAC")
         self._tried: list[tuple[float, dict]] = []  # mean and weights before, and after each attempt
 
     def __call__(

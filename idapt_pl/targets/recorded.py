@@ -45,6 +45,7 @@ class RecordedTarget(Target):
     inbox: Path | None = None
     playable: bool = False
     measured: bool = False
+    mean_actions: bool = True
 
     def recording(self, k: int, look: Look) -> Trajectories:
         """What there is for a grounding step: images and actions, as the run sees and names them.
@@ -164,7 +165,7 @@ def read_any(path: Path, period: float) -> Trajectories:
     if not path.is_dir():
         return read_trajectories(path)
     folders = episode_folders(path)
-    inside = [] if folders == [path] else sorted(p for p in path.iterdir() if p.is_dir() and p.name[0] != ".")
+    inside = [] if folders == [path] else sorted(p for p in path.iterdir() if p.is_dir() and p.name[0] not in "._")
     if folders and (without := [p for p in inside if p not in folders]):
         raise TrajectoryFileError(f"{without[0]}: has no {ACTIONS}, as the other episodes of {path} have")
     if not folders:

@@ -51,6 +51,7 @@ class Target(ABC):
         has_states: whether it shows the source's states, so that errors in them can be reported.
         actions: what it is told for the source's actions.
         repeatable: whether a recording that was interrupted can be made again, with the same seed, as it was.
+        mean_actions: whether policies act there with their mean, as exported ones do, where others sample.
         alone: whether there is one of it, so that no two processes may play it at a time.
     """
 
@@ -58,6 +59,7 @@ class Target(ABC):
     playable: bool = True
     measured: bool = True
     has_states: bool = False
+    mean_actions: bool = False
     repeatable: bool = True
     alone: bool = False
     actions: ActionMap

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from idapt_pl.modules import AsymmetricSAC
-from idapt_pl.modules.observation_noise import Flicker, NoObservationNoise, ObservationNoise
+from idapt_pl.modules.observation_noise import Flicker, NoObservationNoise, ObservationNoise, RecordedErrors, SlowNoise
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import jitter
 
@@ -85,6 +85,36 @@ def test_an_episode_begins_with_rates_at_rest_while_others_go_on():
     see.renew(np.array([False, True, False]))
     now = see(unit(3))["observation"]
     assert (now[:, 2:] == 0).all(1).tolist() == [False, True, False] and (now[:, :2] != 0).all()
+
+
+def test_rates_are_taken_from_as_many_frames_as_the_encoder_sees():
+    encoder = scaled_encoder()
+    see = Flicker(encoder, 1, 0.05, seed=0, frames=2)
+    seen = np.concatenate([see(unit(1))["observation"] for _ in range(3)])
+    last = (seen[2, :2] - seen[1, :2]) * encoder.std[:2].numpy() / 0.04
+    assert seen[2, 2:] * encoder.std[2:].numpy() == pytest.approx(last, rel=1e-5)
+
+
+def test_what_shows_nothing_new_stays_as_it_was():
+    """Where another episode ends, its first observation is seen as well, and the others have no new one."""
+    encoder = scaled_encoder()
+    see = Flicker(encoder, 2, 0.05, seed=0)
+    first = see(unit(2))["observation"]
+    see(unit(2), np.array([True, False]))
+    later = see(unit(2))["observation"]
+    slope = 1.5 * (later[1, :2] - first[1, :2]) * encoder.std[:2].numpy() / 0.04
+    assert later[1, 2:] * encoder.std[2:].numpy() == pytest.approx(slope, rel=1e-5)
+
+    only, states = np.array([True, False]), {"observation": np.zeros((2, 1), np.float32)}
+    slow = SlowNoise(np.ones(1), 2, 1.0, 0.0, seed=0)
+    before = slow._now.copy()
+    slow(states, only)
+    assert ((slow._now == before)[:, 0] == ~only).all()
+    played = RecordedErrors([np.arange(1.0, 31.0)[:, None]], 2, seed=0)
+    played(states)
+    at = played._at.copy()
+    played(states, only)
+    assert ((played._at == at) == ~only).all()
 
 
 def test_gains_and_offsets_go_with_flicker():

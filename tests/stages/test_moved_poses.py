@@ -61,8 +61,8 @@ def states_of(episodes):
 
 def test_offsets_go_straight_from_knot_to_knot_and_begin_at_rest():
     offsets, rates = wandering(35, 0.02, np.array([1.0, 0.0]), np.random.default_rng(0))
-    assert (offsets[: KNOT + 1, 0] == offsets[0, 0]).all() and not rates[:KNOT].any()
-    assert np.allclose(np.diff(offsets, axis=0), rates[:-1] * 0.02) and rates[KNOT:, 0].all()
+    assert (offsets[: KNOT + 1, 0] == offsets[0, 0]).all() and not rates[: KNOT + 1].any()
+    assert np.allclose(np.diff(offsets, axis=0), rates[1:] * 0.02) and rates[KNOT + 1 :, 0].all()
     assert not offsets[:, 1].any()
 
 

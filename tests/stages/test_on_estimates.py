@@ -211,7 +211,10 @@ def test_recorded_errors_are_played_in_order_times_one_factor_an_episode():
     assert (noise._factor == factors).tolist() == [False, True, True]
 
 
-def test_errors_of_estimates_are_what_the_policy_lives_with_while_it_acts(tmp_path, env, policy):
+@pytest.mark.parametrize("loses_it", [False, True])
+def test_errors_of_estimates_are_what_the_policy_lives_with_while_it_acts(tmp_path, env, policy, loses_it):
+    if loses_it:
+        policy.filter.usual_correction.fill_(1e-4)
     act, (obs, _) = deterministic(policy), env.reset(seed=3)
     scale = [p.numpy() for p in (policy.actor.encoder.std, policy.actor.encoder.mean)]
     frames, states, actions, lived = [], [], [], []
@@ -224,6 +227,7 @@ def test_errors_of_estimates_are_what_the_policy_lives_with_while_it_acts(tmp_pa
     write_trajectories(tmp_path / "d.h5", Trajectories((Episode(np.stack(actions), seen),), env.dt))
     (errors,) = errors_of_estimates(policy, [tmp_path / "d.h5"])
     np.testing.assert_allclose(errors[:6], lived, atol=2e-4)
+    assert (act.lost > 0) == loses_it
 
 
 # --- a run ----------------------------------------------------------------------------------------------

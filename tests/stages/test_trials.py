@@ -71,6 +71,14 @@ def test_a_policy_that_does_what_the_source_policy_did_trains_once(judge):
         assert (TRAIN_AGAIN in judge(0.1, 0.9, repeats=1, in_source=in_source)[0]) == again
 
 
+def test_repeats_that_nothing_is_compared_with_are_told(caplog):
+    GroundedTrials(1, 2, None)
+    assert "feeding.trial_repeats does nothing" in caplog.text
+    caplog.clear()
+    GroundedTrials(1, 2, 10.0), GroundedTrials(1, 0, None)
+    assert not caplog.text
+
+
 def test_returns_below_zero_fall_short_by_a_tenth_of_their_size():
     trials = GroundedTrials(1, 1, -10.0)
     assert not trials.falls_short(-10.9) and trials.falls_short(-11.1)

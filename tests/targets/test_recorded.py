@@ -17,7 +17,10 @@ from datamodules.episode_folder import read_episode_folder
 from datamodules.trajectories import TrajectoryFileError
 from idapt_pl.deployment.play import PlayedPolicy
 from idapt_pl.envs import ActionMap
+from idapt_pl.rl.transition_distance import grounded_rollouts
+from idapt_pl.run import Run
 from idapt_pl.stages.by_hand import write_plan
+from idapt_pl.stages.collection import on_policy
 from idapt_pl.targets import Look, RecordedTarget, make_target
 from idapt_pl.tasks import make_task
 
@@ -68,6 +71,7 @@ def test_recordings_are_images_of_the_runs_size_and_the_sources_actions_and_noth
     for i, episode in enumerate(episodes()):
         as_folder(tmp_path / "b" / f"episode_{i}", episode)
     said = {"recordings": [str(tmp_path / "a.h5"), str(tmp_path / "b")], "actions": {"scale": -0.5, "offset": 0.1}}
+    (tmp_path / "b/__pycache__").mkdir()  # of a play.py that lies there
     target = make_target(said, make_task(SOURCE))
     file, folder = (target.recording(k, LOOK) for k in (0, 1))
     for got in (file, folder):
@@ -329,11 +333,23 @@ def test_a_run_by_hand_from_start_to_end(tmp_path, capsys, monkeypatch):
     np.testing.assert_allclose(np.concatenate([e.actions for e in recorded]), np.array(rows, float), atol=1e-5)
 
     policy, taken = PlayedPolicy(inbox / "step_01/policy.onnx"), 0
+    assert policy.about["policy"] == "step_00" and "the policy of step 0" in said
     while taken < 60:
         policy.begin()
         number = len(list((inbox / "step_01").glob("*")))
         taken += play_by_hand(cart, inbox / f"step_01/episode_{number:03d}", policy, 60 - taken)
+    mark = inbox / "step_01/policy.sha256"
+    mine = mark.read_text()
+    mark.write_text("of another run")
+    assert main(command) == 1 and "not of this run's policy of step 0" in capsys.readouterr().err
+    mark.write_text(mine)
     assert main(command) == 0
     summary = json.loads((run / "summary.json").read_text())
     assert (summary["target"], summary["target_interactions"]) == ("lab cart", 120)
+    at_home = Run.open(run)
+    pi = at_home.load_policy(run / "step_00/policy/final.ckpt")
+    assert on_policy(at_home.context, pi)(0).deterministic, "as the file acts, which was played in the target"
+    (rolled,) = grounded_rollouts(at_home.worlds, pi, None, None, 3, 1, 0)
+    np.testing.assert_allclose(rolled.actions, pi.act(rolled.stacks(rolled.transitions), True), atol=1e-5)
+    assert not make_target("hard", make_task("inverted_pendulum")).mean_actions, "where idapt itself plays it samples"
     assert re.search("the target is not measured", (run / "report.html").read_text())
