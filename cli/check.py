@@ -55,6 +55,8 @@ def main(args: list[str]) -> int:
     found = suspicions(source, target, source_names, shown, worlds.frame_stack)
     if isinstance(worlds.target, RecordedTarget):
         found += recorded_suspicions(worlds.target, worlds.look)
+    if told := worlds.views_apart:
+        found.append(told)
     if target is not None:
         print(f"\nthe target took {target.steps} control steps for this; they are in no run's ledger")
         if target.took and isinstance(worlds.target, RobotTarget) and not worlds.target.simulated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +34,8 @@ from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.schedule import fill_lengths
 from idapt_pl.stages.shortened import shorten
+
+log = logging.getLogger(__name__)
 
 
 class StageProgressBar(TQDMProgressBar):
@@ -165,6 +168,8 @@ def main(args: list[str]) -> int:
             run.context.stages.time_left = TimeLeft(expected_seconds(run.config, beside))
         run.restore_ledger()
         run.worlds.look_for_target(run.recorded)
+        if told := run.worlds.views_apart:
+            log.warning("%s", told)
         evaluations = method.run()
         summary = run.evaluation.summary(evaluations)
         if run.config.oracle:

@@ -53,15 +53,15 @@ def measured_policies(summary: dict) -> list[tuple[str, str]]:
     def told(value: float | None) -> str:
         return "not measured" if value is None else format_score(value, summary["metric"])
 
-    oracle = ("oracle", "not run (--oracle true)" if summary["oracle"] is None else told(summary["oracle"]))
+    oracle = [] if summary["oracle"] is None else [("oracle", told(summary["oracle"]))]
     if summary["method"] == "oracle":
-        return [oracle]
+        return oracle
     direct = ("direct transfer", told(summary["direct_transfer"]))
     if summary["method"] == "source":
-        return [direct, oracle]
+        return [direct, *oracle]
     repaired = any(e["step"] == 0 for e in summary["effects"])
     rows = [direct, (f"visual grounding{', source repaired' if repaired else ' only'}", told(summary["visual_only"]))]
     for k, value in enumerate(summary["grounded"], 1):
         same = " (settled)" if k == summary["settled"] else ""
         rows.append((f"{NAMES[summary['method']]}, grounding step {k}{same}", told(value)))
-    return [*rows, oracle]
+    return [*rows, *oracle]

@@ -90,6 +90,17 @@ class Worlds:
             frames=G.frames if G is not None else 1,
         )
 
+    @property
+    def views_apart(self) -> str:
+        """What to know if ``view`` cuts the source's images and not the target's; empty if it does not."""
+        if self.view == WHOLE or self.target.viewed:
+            return ""
+        return (
+            f"view {{share: {self.view.share:g}, up: {self.view.up:g}, right: {self.view.right:g}}} cuts the source's "
+            f"images, while of {self.target.name} the middle square is shown. Unless its camera shows just that part, "
+            "give view: {share: 1, up: 0}"
+        )
+
     def blind_target(self, step: int) -> BlindTarget:
         """The target as training may see it: one robot, images and actions only, every step counted."""
         return BlindTarget(self.rewarded_target(1, asking=False), self.ledger, step, "training")

@@ -51,6 +51,7 @@ class Target(ABC):
         has_states: whether it shows the source's states, so that errors in them can be reported.
         actions: what it is told for the source's actions.
         repeatable: whether a recording that was interrupted can be made again, with the same seed, as it was.
+        viewed: whether ``view`` cuts its images as it does the source's.
         mean_actions: whether policies act there with their mean, as exported ones do, where others sample.
         alone: whether there is one of it, so that no two processes may play it at a time.
     """
@@ -59,6 +60,7 @@ class Target(ABC):
     playable: bool = True
     measured: bool = True
     has_states: bool = False
+    viewed: bool = False
     mean_actions: bool = False
     repeatable: bool = True
     alone: bool = False
@@ -106,6 +108,7 @@ class SimulatedTarget(Target):
     task: Task
     domain: Domain
     has_states: bool = True
+    viewed: bool = True
 
     @property
     def actions(self) -> ActionMap:  # type: ignore[override]
@@ -137,6 +140,7 @@ class OtherTaskTarget(Target):
     name: str
     task: Task
     actions: ActionMap
+    viewed: bool = True
 
     def with_reward(self, num_envs: int, look: Look, asking: bool = True) -> ImageEnv:
         env = look.simulate(self.task, self.task.domain("source"), num_envs)

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import yaml
+from conftest import tiny_config
 from PIL import Image
 from test_targets import LAB, written
 
@@ -251,6 +252,21 @@ def test_images_and_actions_that_were_imported_find_effects_and_ground_a_policy(
     assert json.loads((run / "summary.json").read_text())["target_interactions"] == sum(r.total_steps for r in recorded)
     assert (run / "step_00/effects.json").exists() and (run / "step_01/policy/final.ckpt").exists()
     assert main(["ledger", "--run", str(run)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("target", "cut"), [({"by_hand": "inbox", "name": "my arm"}, False), ({"task": SOURCE}, True), ("hard", True)]
+)
+def test_a_window_that_cuts_the_source_alone_is_told(tmp_path, target, cut):
+    config = tmp_path / "own.yaml"
+    config.write_text(yaml.safe_dump(tiny_config(target=target)))
+
+    def told(*options):
+        return GroundingCLI([f"--config={config}", f"--run_dir={tmp_path / 'run'}", *options]).run().worlds.views_apart
+
+    assert not told("--view.share=1", "--view.up=0")
+    window = told("--view.share=0.64", "--view.up=0.12")
+    assert not window if cut else "view {share: 0.64, up: 0.12, right: 0} cuts the source's" in window
 
 
 @pytest.mark.parametrize("there", [True, False])
