@@ -117,24 +117,29 @@ def outcomes(env, policy, episodes: int) -> list[tuple[float, int]]:
     return found
 
 
-def measure(run: Path, env, episodes: int, name: str) -> dict:
-    """Export the run's policy, play it, tell the run, and make a row of it."""
+def measure(run: Path, inbox: Path, env, episodes: int, name: str) -> list[dict]:
+    """Play the policies that the run asked for and the last one, exported; tell the run, and make rows of it."""
     assert idapt("export", "--run", str(run), "--out", str(run / "exported/policy.onnx")) == 0
-    policy = played_policy(run / "exported")
-    step = int(policy.about["policy"].removeprefix("step_"))
-    found = outcomes(env, policy, episodes)
+    asked = sorted(path.parent for path in inbox.glob("step_*/policy.onnx"))
+    policies = {policy.about["policy"]: policy for policy in map(played_policy, [*asked, run / "exported"])}
+    found = {int(k.removeprefix("step_")): outcomes(env, policy, episodes) for k, policy in policies.items()}
     with (run / "outcomes.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([("step", "outcome", "control_steps"), *((step, *o) for o in found)])
+        told = [(step, *outcome) for step, played in found.items() for outcome in played]
+        csv.writer(file).writerows([("step", "outcome", "control_steps"), *told])
     assert idapt("evaluate", "--run", str(run), "--outcomes", str(run / "outcomes.csv")) == 0
-    summary, told = (json.loads((run / f"{n}.json").read_text()) for n in ("summary", "run"))
-    returns = [gained for gained, _ in found]
-    return {
-        "task": summary["task"], "target": summary["target"], "run": name, "method": "IDAPT" if step else "visual only",
-        "seed": summary["seed"], "grounding_step": step, "metric": summary["metric"],
-        "mean": round(float(np.mean(returns)), 2), "std": round(float(np.std(returns)), 2),
-        "target_interactions": summary["target_interactions"], "threads": told["cpu_threads"],
-        "minutes": round(summary["wall_s"] / 60, 1), "commit": told["git_commit"], "cpu": told["cpu"],
+    summary, ran = (json.loads((run / f"{n}.json").read_text()) for n in ("summary", "run"))
+    common = {
+        "task": summary["task"], "target": summary["target"], "run": name, "seed": summary["seed"],
+        "metric": summary["metric"], "target_interactions": summary["target_interactions"],
+        "minutes": round(summary["wall_s"] / 60, 1), "threads": ran["cpu_threads"], "commit": ran["git_commit"],
+        "cpu": ran["cpu"],
     }  # fmt: skip
+    rows = []
+    for step, played in found.items():
+        returns = [gained for gained, _ in played]
+        spread = {"mean": round(float(np.mean(returns)), 2), "std": round(float(np.std(returns)), 2)}
+        rows.append(common | spread | {"method": "IDAPT" if step else "visual only", "grounding_step": step})
+    return rows
 
 
 def main() -> None:
@@ -160,7 +165,7 @@ def main() -> None:
             bring(inbox, env, yaml.safe_load((run / "config.yaml").read_text())["schedule"]["interactions"])
         if code:
             raise SystemExit(code)
-        rows = [measure(run, env, o.episodes, name)]
+        rows = measure(run, inbox, env, o.episodes, name)
         replace_rows(o.out, rows, ("task", "target", "run", "seed"), quick.FIELDS)
         print(rows)
 
