@@ -94,9 +94,9 @@ class Flicker(NoObservationNoise):
         self._begun &= ~going_on
         wrong = np.zeros_like(seen["observation"])
         wrong[:, self._shown] = self._frames[-1] / self._size[self._shown]
-        slope = backward_difference(self._frames) / self._dt
         for rate, position in self._rates.items():
-            wrong[:, rate] = slope[:, position] / self._size[rate]
+            slope = backward_difference(self._frames[..., position]) / self._dt
+            wrong[:, rate] = slope / self._size[rate]
         return {**seen, "observation": seen["observation"] + wrong}
 
 

@@ -95,6 +95,12 @@ def test_rates_are_taken_from_as_many_frames_as_the_encoder_sees():
     assert seen[2, 2:] * encoder.std[2:].numpy() == pytest.approx(last, rel=1e-5)
 
 
+def test_a_single_frame_flickers_where_no_rates_are_taken_from_frames():
+    encoder = Vision(pool="keypoints").predictor(32, 1, 4, {2: 0, 3: 1}, 0.04)
+    seen = Flicker(encoder, 20_000, 0.05, seed=0, frames=1)(unit(20_000))["observation"]
+    assert seen.std(0) == pytest.approx(4 * [0.05], rel=0.03)
+
+
 def test_what_shows_nothing_new_stays_as_it_was():
     """Where another episode ends, its first observation is seen as well, and the others have no new one."""
     encoder = scaled_encoder()
