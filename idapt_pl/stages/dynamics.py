@@ -67,10 +67,8 @@ def fit_F(
 
     def feed(F: ActionTransformation, seed: int, device: torch.device) -> OnPolicyDataModule:
         n = c.batches.garat_envs
-        env, policy = (
-            c.worlds.grounded(n, on_device(G, device)),
-            Acting(on_device(pi, device), c.worlds.target.mean_actions),
-        )
+        env = c.worlds.grounded(n, on_device(G, device))
+        policy = Acting(on_device(pi, device), c.worlds.target.mean_actions)  # as where it was recorded
         length, exploring = c.batches.garat_rollout // n, round(c.batches.garat_exploring * n)
         roll = garat_rollout(env, policy, F, length, seed, explore(seed, n), exploring)
         transitions = target_transitions(target, F.encode, c.worlds.frame_stack, hold_out)

@@ -23,7 +23,7 @@ A_TENTH = 0.1
 
 
 def trial(policy: AsymmetricSAC, env: VectorEnv, episodes: int) -> float:
-    """Mean return (or success) of a policy with its mean action, seeing as in training; closes the environment."""
+    """Mean return (or success) of a policy with its mean action and its flicker; closes the environment."""
     with closing(env):
         return evaluate(env, FlickeringPolicy(policy, env.num_envs, seed=0), episodes, seed=0).mean
 
