@@ -21,6 +21,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -81,12 +82,9 @@ def what_follows(r: Rejection | None) -> object:
 @contextmanager
 def judged_by(without: Collection[str]) -> Iterator[Fewer]:
     """Searches without these gates."""
-    fewer, kept = Fewer(without), acceptance.objection
-    acceptance.objection = fewer.objection
-    try:
+    fewer = Fewer(without)
+    with mock.patch.object(acceptance, "objection", fewer.objection):
         yield fewer
-    finally:
-        acceptance.objection = kept
 
 
 def run(model: str, count: int, seed: int, without: Collection[str]) -> dict:
@@ -145,9 +143,10 @@ def main() -> None:
     rows = read_rows(o.out)
     done = {tuple(str(r[k]) for k in CASE) for r in rows}
     without = " ".join(o.without)
-    for key in tqdm(list(itertools.product(o.models, o.counts, o.seeds)) if not o.summary else [], unit="case"):
-        if (*map(str, key), without) not in done:
-            rows.append(run(*key, o.without))
+    cases = list(itertools.product(o.models, o.counts, o.seeds)) if not o.summary else []
+    for model, count, seed in tqdm(cases, unit="case"):
+        if (model, str(count), str(seed), without) not in done:
+            rows.append(run(model, count, seed, o.without))
             write_rows(o.out, rows, FIELDS)
     print(summarise(rows))
 

@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from unittest import mock
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -105,12 +106,11 @@ def newest(state: SearchState | None) -> Candidate | None:
 def watched(drawn: Drawn) -> Iterator[Watch]:
     """A search that is looked at."""
     watch = Watch(drawn)
-    kept = acceptance.objection, search.accept
-    acceptance.objection, search.accept = watch.objection, watch.accept
-    try:
+    with (
+        mock.patch.object(acceptance, "objection", watch.objection),
+        mock.patch.object(search, "accept", watch.accept),
+    ):
         yield watch
-    finally:
-        acceptance.objection, search.accept = kept
 
 
 def hidden(model: str, count: int, seed: int) -> Drawn:

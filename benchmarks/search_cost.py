@@ -24,8 +24,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import numpy as np
-from benchmarks.gates import MODELS, recorded
+from benchmarks.gates import recorded
 from benchmarks.hardware import RIGS, held_out
+from benchmarks.reliability import MODELS
 from benchmarks.several_effects import matched, truth_of
 from benchmarks.tables import read_rows, write_rows
 from tqdm import tqdm
