@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
+from datamodules.stacks import FrameStacks
+
 Transitions = dict[str, np.ndarray]
 TRANSITION = ("observation", "state", "actions", "rewards", "terminations", "next_observation", "next_state")
 
@@ -87,6 +89,10 @@ class ReplayBuffer:
             (oldest + begin * simulations + self._rng.integers(simulations, size=(*shape, 1))) % self.capacity, names
         )
 
+    def random_rows(self, among: int, count: int) -> np.ndarray:
+        """Indices of another array of ``among`` rows, drawn with replacement by this buffer's random numbers."""
+        return self._rng.integers(among, size=count)
+
     def _at(self, rows: np.ndarray, names: Sequence[str] | None) -> dict[str, torch.Tensor]:
         return {name: torch.from_numpy(self._arrays[name][rows]) for name in names or self._arrays}
 
@@ -106,7 +112,7 @@ class _ActAndSample(IterableDataset):
             m.buffer.add(m.act())
             batch = {"transitions": m.minibatches()}
             if m.image_batches:
-                batch["images"] = m.buffer.sample(m.image_batches, m.image_batch_size, names=("pixels", "state"))
+                batch["images"] = m.images()
             yield batch
 
 
@@ -123,6 +129,7 @@ class ReplayDataModule(L.LightningDataModule):
         image_batch_size: images in one of them.
         names: what a minibatch holds.
         stretch: transitions that follow one another in place of each, and simulations that act; None for single ones.
+        labelled: half of the images come from here, not from the buffer; None for none.
     """
 
     def __init__(
@@ -136,9 +143,10 @@ class ReplayDataModule(L.LightningDataModule):
         image_batch_size: int = 32,
         names: Sequence[str] = TRANSITION,
         stretch: tuple[int, int] | None = None,
+        labelled: FrameStacks | None = None,
     ) -> None:
         super().__init__()
-        self.stretch = stretch
+        self.stretch, self.labelled = stretch, labelled
         self.act, self.buffer, self.names = act, buffer, names
         self.image_batches, self.image_batch_size = image_batches, image_batch_size
         self.batch_size, self.updates_per_batch, self.batches = batch_size, updates_per_batch, batches
@@ -150,6 +158,15 @@ class ReplayDataModule(L.LightningDataModule):
             return self.buffer.sample(*shape, names=self.names)
         length, simulations = self.stretch
         return self.buffer.sample_stretches(*shape, length=length, simulations=simulations, names=self.names)
+
+    def images(self) -> dict[str, torch.Tensor]:
+        """Images with states of one batch, (image_batches, image_batch_size, ...)."""
+        n, size, names = self.image_batches, self.image_batch_size, ("pixels", "state")
+        if self.labelled is None:
+            return self.buffer.sample(n, size, names=names)
+        seen = self.buffer.sample(n, size - size // 2, names=names)
+        given = self.labelled.__getitems__(self.buffer.random_rows(len(self.labelled), n * (size // 2)))
+        return {k: torch.cat([v, given[k].unflatten(0, (n, size // 2))], dim=1) for k, v in seen.items()}
 
     def progress(self) -> dict[str, float]:
         """What acting has achieved, to be logged beside the losses."""

@@ -40,6 +40,11 @@ def read_all(paths: Sequence[Path | str], also: str | None = None) -> Trajectori
     return reduce(add, parts)
 
 
+def labelled_stacks(paths: Sequence[Path | str], frame_stack: int) -> FrameStacks | None:
+    """Stacks of K frames with states, of trajectory files that have both; None of no files."""
+    return FrameStacks(read_all(paths, also="state"), frame_stack, labels="state") if paths else None
+
+
 def random_batches(dataset: Dataset, batch_size: int, batches: int, seed: int) -> DataLoader:
     """``batches`` random batches from a dataset, reshuffled at each pass over it, reproducible by ``seed``."""
     generator = torch.Generator().manual_seed(seed)

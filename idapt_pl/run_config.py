@@ -271,7 +271,14 @@ class RunConfig:
                     f"schedule.{name}.estimator is {batches} batches, but policy.encoder is {encoder}: "
                     "only a supervised encoder is regressed on states. Set one or the other."
                 )
-        check_memory(self.modules["policy"]["memory"], self.teacher.rehearse, self.labels.members, self.schedule)
+        policy, labels = self.modules["policy"], self.labels
+        check_memory(policy["memory"], self.teacher.rehearse, labels.members, labels.replays, self.schedule)
+        if labels.replays and (encoder != "supervised" or not policy["estimator_updates"]):
+            raise ValueError(
+                f"labels.replays is {labels.replays}, but policy.encoder is {encoder} and policy.estimator_updates "
+                f"{policy['estimator_updates']}: nothing learns from labels. Give supervised and updates, such as "
+                "0.25, or set labels.replays to 0."
+            )
         if self.schedule.paired_steps and not self.modules["visual"]["reset_weight"]:
             raise ValueError(
                 f"schedule.paired_steps is {self.schedule.paired_steps}, but G learns nothing from pairs, as "

@@ -15,7 +15,7 @@ from idapt_pl.nets.images import relight, stack_channels
 
 
 class StatePredictor(L.LightningModule):
-    """Fits P^S to (images, states) of the source with an L1 loss on standardised states.
+    """Fits P^S to (images, states) of the source with an L1 loss on standardised states; NaN are left out.
 
     Args:
         state_dim: size of the state vector; taken from the task.
@@ -46,7 +46,8 @@ class StatePredictor(L.LightningModule):
         self.P_S = vision.predictor(image_size, frame_stack, state_dim, rates or {}, dt)
 
     def on_fit_start(self) -> None:
-        self.P_S.fit_scale(torch.from_numpy(self.trainer.datamodule.data.labels))
+        states = torch.from_numpy(self.trainer.datamodule.data.labels)
+        self.P_S.fit_scale(states[~states.isnan().any(1)])
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
         with fast_precision(self.device, self.hparams.bf16):

@@ -116,6 +116,11 @@ def backward_difference(frames: FrameValues) -> FrameValues:
     return 1.5 * last - 0.5 * (frames[-2] - frames[-3]) if len(frames) > 2 else last
 
 
+def known_error(estimate: Float[Tensor, "b s"], target: Float[Tensor, "b s"]) -> Float[Tensor, ""]:
+    """Mean absolute error; where the target is NaN there is none, nor a gradient."""
+    return torch.where(target.isnan(), 0.0, estimate - target).abs().mean()
+
+
 class PixelStatePredictor(nn.Module):
     """P: a frame stack to the state. Encoder and a 2-layer MLP, predicting standardised states.
 
@@ -171,12 +176,15 @@ class PixelStatePredictor(nn.Module):
         return state
 
     def error(self, images: Float[Tensor, "b c h w"], state: Float[Tensor, "b s"]) -> Float[Tensor, ""]:
-        """Mean absolute error on standardised states; with ``rates``, of what the newest frame shows."""
+        """Mean absolute error on standardised states; with ``rates``, of what the newest frame shows.
+
+        Components that are NaN are not known, and count as right.
+        """
         target = self.standardise(state)
         if not self.rates:
-            return (self(images) - target).abs().mean()
+            return known_error(self(images), target)
         newest = center_crop(images[:, -3:], self.encoder.crop)
-        return (self.mlp(self.encoder(newest)).float() - target[:, self.shown]).abs().mean()
+        return known_error(self.mlp(self.encoder(newest)).float(), target[:, self.shown])
 
     def encode(self, pixels: UInt8[Tensor, "b k h w 3"], augment: bool = False) -> Float[Tensor, "b s"]:
         """The estimated state, standardised, as features; ``augment`` crops at random."""

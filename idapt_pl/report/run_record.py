@@ -47,6 +47,8 @@ ORDER = (
     "reading_offsets",
     "reading_errors",
     "labelled",
+    "replay_labelled",
+    "estimator_replayed",
     "teacher",
     "teacher_trials",
     "student",

@@ -95,6 +95,9 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.labels.members:
         costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
+    if config.labels.replays:
+        costs["estimator_replayed"] = costs["estimator"]
+        costs["replay_labelled"] = 0.002 * config.labels.replays * (s.images + k * s.interactions)
     hardened = t.harden > 0 and (not k or costs["teacher"] > 0)  # whenever the teacher is another one
     costs |= learning_costs(config, lengths, lengths.policy, "", 1 if hardened else t.rounds)
     if hardened:

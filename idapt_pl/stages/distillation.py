@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import torch
 from gymnasium.vector import VectorEnv
 
 from datamodules import ReplayBuffer, ReplayDataModule
-from datamodules.unpaired import read_all
+from datamodules.unpaired import labelled_stacks, read_all
 from idapt_pl.envs import ImageEnv, KeptNear, StatesOnly
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.nets.devices import on_device
@@ -209,8 +210,12 @@ class Distillation:
         build: Callable[[], AsymmetricSAC],
         make_env: Callable[[torch.device], VectorEnv],
         F: ActionTransformation | None = None,
+        labelled: Sequence[Path] = (),
     ) -> AsymmetricSAC:
-        """The policy of ``build``, taught in an environment (one whose actions go through F, if there is one)."""
+        """The policy of ``build``, taught in an environment (one whose actions go through F, if there is one).
+
+        Its encoder learns from ``labelled`` trajectory files beside what it sees there.
+        """
         teacher = self.up_to_date(step, f"{prefix}teacher", build, make_env, F)
 
         def build_imitation() -> Imitation:
@@ -234,6 +239,7 @@ class Distillation:
                 batches=t.dagger // n,
                 image_batches=images,
                 image_batch_size=policy.hparams.estimator_batch,
+                labelled=labelled_stacks(labelled, policy.hparams.frame_stack),
                 names=LABELLED,
             )
 

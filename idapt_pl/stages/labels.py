@@ -22,6 +22,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.encoder import translated
+from idapt_pl.stages.replayed_labels import replayed_labels
 from idapt_pl.worlds import Worlds
 
 log = logging.getLogger(__name__)
@@ -37,7 +38,10 @@ def labelled_images(
     c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
     F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0,
 ) -> list[Path]:  # fmt: skip
-    """Trajectory files with target-like images and states: source images through G, and the target's own by physics.
+    """Trajectory files with target-like images and states, for what reads them beside the policy's own experience.
+
+    Where a teacher acts on estimates these are source images through G, and the target's own by physics. Elsewhere it
+    is the target's own by replays.
 
     Args:
         c: of the run.
@@ -50,7 +54,8 @@ def labelled_images(
         paired_steps: control steps from where episodes begin that G learned as pairs.
     """
     if not c.teacher.settings.rehearse:
-        return []  # nothing learns from them
+        told = replayed_labels(c, step, target, G, F)
+        return [translated(c, step, source, G), *told] if told else []
     known = translated(c, step, source, G)
     return [known, *label_target(c, step, target, known, pi.estimator(G), F, paired_steps)]
 

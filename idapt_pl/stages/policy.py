@@ -12,7 +12,7 @@ from gymnasium.vector import VectorEnv
 from datamodules import ReplayBuffer, ReplayDataModule
 from datamodules.replay import TRANSITION
 from datamodules.stacks import FrameStacks
-from datamodules.unpaired import read_all
+from datamodules.unpaired import labelled_stacks, read_all
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.modules.recurrent_policy import REMEMBERED
 from idapt_pl.nets.devices import on_device
@@ -20,7 +20,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.recurrent_experience import RecurrentExperience
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.encoder import poses_through
+from idapt_pl.stages.encoder import fit_encoder_on, poses_through
 from idapt_pl.stages.on_estimates import fit_on_estimates
 from idapt_pl.stages.schedule import StageLengths, length_of
 from idapt_pl.stages.trials import GroundedTrials, trial
@@ -71,8 +71,8 @@ def fit_grounded_policy(
 ) -> AsymmetricSAC:  # fmt: skip
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
-    Where the teacher acts on estimates, they are learned from ``labelled``, target-like images with states, too, and
-    the encoder from ``moved``, source images in poses that no motion brings about, as G shows them. With
+    Encoders, and estimates where the teacher acts on them, learn from ``labelled``, target-like images with states,
+    too, and these also from ``moved``, source images in poses that no motion brings about, as G shows them. With
     ``feeding.trial_episodes`` episodes in the grounded source say whether it trains again, and whether it is put back.
     """
 
@@ -81,13 +81,16 @@ def fit_grounded_policy(
         there = on_device(F, device) if F is not None else None
         return c.worlds.grounded_over(source, on_device(G, device), there)
 
+    own = () if c.teacher.settings.rehearse else labelled[1:]  # the target's images; π sees the others as it learns
+    if own and lengths.estimator:  # not before effects were sought, which such labels would hide
+        pi = fit_encoder_on(c, step, "estimator_replayed", labelled, lengths.estimator, pi)
     initial = pi
     if c.teacher.settings.rehearse:
         teacher = c.teacher.up_to_date(step, "teacher", lambda: c.new_policy(pi), make_env, F)
         poses = poses_through(c, step, moved, G)
         initial = fit_on_estimates(c, step, "", lengths, labelled, teacher, pi, G, F, poses)
     elif c.teacher.settings.steps:
-        initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F)
+        initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F, own)
 
     in_source = c.stages.notes(0, "source_policy").get("trial_after")
     trials = GroundedTrials(c.batches.trial_episodes, c.batches.trial_repeats, in_source)
@@ -95,7 +98,8 @@ def fit_grounded_policy(
     def finish(policy: AsymmetricSAC, device: torch.device, attempt: int) -> dict:
         return trials(policy, initial, lambda: make_env(device), attempt) if c.batches.trial_episodes else {}
 
-    return fit_policy(c, step, "policy", make_env, length_of(lengths.policy), initial, finish=finish)
+    steps = length_of(lengths.policy)
+    return fit_policy(c, step, "policy", make_env, steps, initial, finish=finish, labelled=own)
 
 
 def fit_policy(
@@ -107,6 +111,7 @@ def fit_policy(
     initial: AsymmetricSAC | PixelStatePredictor,
     familiar: Sequence[Path] = (),
     finish: Callable[[AsymmetricSAC, torch.device, int], dict] = lambda policy, device, attempt: {},
+    labelled: Sequence[Path] = (),
 ) -> AsymmetricSAC:
     """π by SAC in an environment, continued from a policy, or new with an encoder from a predictor.
 
@@ -119,6 +124,7 @@ def fit_policy(
         initial: what π starts from.
         familiar: trajectory files whose states are familiar; none leaves what π knows.
         finish: as of :meth:`~idapt_pl.stage.Stages.fit`.
+        labelled: trajectory files with states that the encoder learns from, beside what π sees.
     """
     b = c.batches
     fresh = isinstance(initial, PixelStatePredictor)
@@ -143,6 +149,7 @@ def fit_policy(
             batches=steps // b.num_envs,
             image_batches=round(module.hparams.estimator_updates * b.num_envs) if module.supervised else 0,
             image_batch_size=module.hparams.estimator_batch,
+            labelled=labelled_stacks(labelled, module.hparams.frame_stack),
             names=(*TRANSITION, *REMEMBERED) if recurrent else TRANSITION,
             stretch=(length, b.num_envs) if recurrent else None,
         )

@@ -175,13 +175,14 @@ def policy_steps(schedule: Schedule) -> int:
     return steps + length_of(schedule.grounding_steps) * length_of(schedule.finetune.policy)
 
 
-def check_memory(memory: int, rehearse: int, members: int, schedule: Schedule) -> None:
+def check_memory(memory: int, rehearse: int, members: int, replays: int, schedule: Schedule) -> None:
     """A policy with a memory is a teacher on estimates, which are learned in rehearsals.
 
     Args:
         memory: ``policy.memory``.
         rehearse: ``teacher.rehearse``.
         members: ``labels.members``; encoder and filter learn from labels.
+        replays: ``labels.replays``; an encoder without a filter does.
         schedule: whose SAC would go on with it, and which says how long encoder and filter learn.
 
     Raises:
@@ -196,6 +197,11 @@ def check_memory(memory: int, rehearse: int, members: int, schedule: Schedule) -
         raise ValueError(
             f"labels.members is {members}, but encoder and filter learn from labels only where teacher.rehearse and "
             "policy.memory are given. Give all three, or set labels.members to 0."
+        )
+    if replays and memory:
+        raise ValueError(
+            f"labels.replays is {replays}, but with policy.memory a filter learns from labels over time, and these are "
+            "of labels.members: give members, such as 96, and set labels.replays to 0."
         )
     if not memory:
         return

@@ -87,15 +87,22 @@ class LabelSettings:
         lag: control steps for which a state goes on being corrected by what is read later.
         known_start: the target's episodes begin as the source's do. Where a first reading says otherwise it counts.
         offsets: whether readings are freed from what they are off by throughout, if forecasts tell it surely.
+        replays: for policies by DAgger or SAC, in place of ``members``: simulations of the source that play the
+            target's actions, each from a start of its own; 0 labels nothing. What they agree in is taken to be where
+            the target is, too (:mod:`~idapt_pl.stages.replayed_labels`).
     """
 
     members: int = 0
     lag: int = 8
     known_start: bool = True
     offsets: bool = False
+    replays: int = 0
 
     def __post_init__(self) -> None:
-        check_ranges("labels", vars(self), {"members": COUNT_OR_NONE, "lag": Range(0, 1000)})
+        counts = {"members": COUNT_OR_NONE, "replays": COUNT_OR_NONE}
+        check_ranges("labels", vars(self), counts | {"lag": Range(0, 1000)})
+        if self.replays == 1:
+            raise ValueError("labels.replays is 1: one alone agrees with itself. Give 0 for no labels, or about 8")
         if self.members == 1:
             raise ValueError("labels.members is 1: one guess has no spread. Give 0 for no labels, or about 100")
 

@@ -1,0 +1,115 @@
+"""Labels by replays: what actions decide is told, what starts decide is not, and encoders learn from what is told."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from datamodules import Episode, ReplayBuffer, ReplayDataModule, Trajectories, read_trajectories, write_trajectories
+from datamodules.stacks import FrameStacks
+from idapt_pl.envs import VectorStateEnv
+from idapt_pl.nets.encoder import Vision
+from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages.replayed_labels import agreed, play_again, replayed_labels
+from idapt_pl.stages.settings import LabelSettings
+from idapt_pl.tasks import make_task
+
+
+@pytest.fixture
+def pendulum():
+    task = make_task("inverted_pendulum")
+    env = VectorStateEnv(task, task.domain("source"), 4)
+    yield env
+    env.close()
+
+
+def pushes(episodes=6, steps=5):
+    rng = np.random.default_rng(0)
+    return [np.repeat(rng.uniform(-0.5, 0.5, (1, 1)), steps, 0).astype(np.float32) for _ in range(episodes)]
+
+
+def test_what_starts_decide_is_not_told():
+    rng = np.random.default_rng(0)
+    by_actions = np.linspace(0, 1, 11)
+    played = []
+    for gain in (-1.0, 0.5, 2.0):
+        by_chance = np.repeat(rng.standard_normal((24, 1)), 11, 1)
+        played.append(np.stack([gain * by_actions + 0.01 * rng.standard_normal((24, 11)), by_chance], axis=2))
+    states = agreed(played)
+    for gain, s in zip((-1.0, 0.5, 2.0), states, strict=True):
+        np.testing.assert_allclose(s[:, 0], gain * by_actions, atol=0.03)
+    assert np.isnan(np.concatenate(states)[:, 1]).mean() > 0.8
+
+
+def test_nothing_is_told_where_most_have_ended():
+    simulations = np.random.default_rng(0).standard_normal((1, 6, 1)) + np.zeros((4, 6, 2))
+    simulations[1:, 3:] = np.nan  # one of four goes on
+    (states,) = agreed([simulations])
+    np.testing.assert_allclose(states[:3], simulations[0, :3])
+    assert np.isnan(states[3:]).all()
+
+
+def test_a_simulation_that_ended_stays_ended(pendulum):
+    states = play_again(pendulum, np.full((60, 1), 3.0, np.float32), seed=0)
+    lasted = (~np.isnan(states[:, :, 0])).sum(1)
+    assert (lasted < 61).all() and (lasted > 2).all()
+    for s, n in zip(states, lasted, strict=True):
+        assert np.isnan(s[n:]).all() and abs(s[n - 1, 1]) > 0.2 >= abs(s[n - 2, 1])  # its last state is the fallen one
+    again = play_again(pendulum, np.full((60, 1), 3.0, np.float32), seed=0)
+    np.testing.assert_array_equal(states, again)
+
+
+def test_labels_are_where_a_target_like_the_source_is(pendulum, tmp_path):
+    """Recovery: recordings of the same machine from other starts get the states that were recorded."""
+    truths, episodes = [], []
+    for i, actions in enumerate(pushes()):
+        truth = play_again(pendulum, actions, seed=100 + i)[0]
+        truths.append(truth)
+        episodes.append(Episode(actions, {"pixels": np.zeros((len(truth), 8, 8, 3), np.uint8)}))
+    write_trajectories(tmp_path / "target.h5", Trajectories(tuple(episodes), pendulum.dt))
+    worlds = SimpleNamespace(training_states=lambda n: VectorStateEnv(pendulum.task, pendulum.domain, n))
+    stages = Stages(tmp_path, cpu_trainer, 0)
+    c = SimpleNamespace(worlds=worlds, stages=stages, labels=LabelSettings(replays=8))
+    (path,) = replayed_labels(c, 0, [tmp_path / "target.h5"], None, None)
+    labels = [e.observations["state"] for e in read_trajectories(path)]
+    told, truth = np.concatenate(labels), np.concatenate(truths)
+    known = ~np.isnan(told)
+    assert known[:, 0].mean() > 0.5  # where the cart is, pushes decide
+    spread = truth.std(0)
+    assert np.mean(np.abs((told - truth) / spread)[known]) < 0.5
+    assert replayed_labels(SimpleNamespace(labels=LabelSettings()), 0, [], None, None) == []
+
+
+@pytest.mark.parametrize("rates", [{}, {3: 1}])
+def test_what_is_not_told_teaches_nothing(rates):
+    vision = Vision(rates="frames") if rates else Vision()
+    torch.manual_seed(0)
+    predictor = vision.predictor(32, 2, 4, rates, 0.1)
+    images, state = torch.rand(5, 6, 32, 32), torch.randn(5, 4)
+    half = state.clone()
+    half[:, 0] = torch.nan
+    error = predictor.error(images, half)
+    error.backward()
+    assert torch.isfinite(error)
+    assert all(torch.isfinite(p.grad).all() for p in predictor.parameters() if p.grad is not None)
+    assert error < predictor.error(images, state)
+    assert predictor.error(images, torch.full((5, 4), torch.nan)) == 0
+
+
+def test_half_of_the_images_are_labelled_ones():
+    buffer = ReplayBuffer(8, 0)
+    buffer.add({"pixels": np.zeros((8, 1, 4, 4, 3), np.uint8), "state": np.zeros((8, 2), np.float32)})
+    given = Episode(np.zeros((5, 1)), {"pixels": np.full((6, 4, 4, 3), 9, np.uint8), "state": np.ones((6, 2))})
+    feed = ReplayDataModule(None, buffer, 4, 1, 1, 3, 10, labelled=FrameStacks([given], 1, labels="state"))
+    images = feed.images()
+    assert images["pixels"].shape == (3, 10, 1, 4, 4, 3) and images["state"].shape == (3, 10, 2)
+    assert (images["state"][:, :5] == 0).all() and (images["state"][:, 5:] == 1).all()
+    assert (images["pixels"][:, :5] == 0).all() and (images["pixels"][:, 5:] == 9).all()
+
+
+def test_one_replay_is_refused():
+    with pytest.raises(ValueError, match=r"labels\.replays is 1: one alone agrees with itself"):
+        LabelSettings(replays=1)
