@@ -273,11 +273,12 @@ class RunConfig:
                 )
         policy, labels = self.modules["policy"], self.labels
         check_memory(policy["memory"], self.teacher.rehearse, labels.members, labels.replays, self.schedule)
-        if labels.replays and (encoder != "supervised" or not policy["estimator_updates"]):
+        learns = encoder == "supervised" and (policy["estimator_updates"] or self.schedule.pretrain.estimator)
+        if labels.replays and not learns:
             raise ValueError(
-                f"labels.replays is {labels.replays}, but policy.encoder is {encoder} and policy.estimator_updates "
-                f"{policy['estimator_updates']}: nothing learns from labels. Give supervised and updates, such as "
-                "0.25, or set labels.replays to 0."
+                f"labels.replays is {labels.replays}, but policy.encoder is {encoder}, policy.estimator_updates "
+                f"{policy['estimator_updates']} and schedule.pretrain.estimator {self.schedule.pretrain.estimator}: "
+                "nothing learns from labels. Give supervised and one of these, or set labels.replays to 0."
             )
         if self.schedule.paired_steps and not self.modules["visual"]["reset_weight"]:
             raise ValueError(

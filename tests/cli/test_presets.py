@@ -41,8 +41,9 @@ PAPER = {
     "schedule.accumulate": False, "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False,
     "schedule.exploration_horizon": None, "schedule.paired_steps": 0,
-    "labels.members": 0, "effects.discover": False, "effects.looks": False, "view.share": 1.0, "view.up": 0.0,
-    "view.right": 0.0, "poses.spread": 0, "effects.known": None, "randomisation.ranges": None,
+    "labels.members": 0, "labels.replays": 0, "effects.discover": False, "effects.looks": False,
+    "view.share": 1.0, "view.up": 0.0, "view.right": 0.0, "poses.spread": 0,
+    "effects.known": None, "randomisation.ranges": None,
     # Open in the paper, from the authors' code
     "feeding.visual_batch": 8, "feeding.buffer_size": 100_000, "visual.state_weight": 5.0, "policy.tau": 0.01,
 }  # fmt: skip

@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from conftest import TINY
 
+from cli.main import main
 from datamodules import Episode, ReplayBuffer, ReplayDataModule, Trajectories, read_trajectories, write_trajectories
 from datamodules.stacks import FrameStacks
 from idapt_pl.envs import VectorStateEnv
@@ -16,6 +18,16 @@ from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.stages.replayed_labels import agreed, play_again, replayed_labels
 from idapt_pl.stages.settings import LabelSettings
 from idapt_pl.tasks import make_task
+
+
+def options(run, values):
+    return [
+        "--config",
+        "configs/pendulum_quick.yaml",
+        "--run_dir",
+        str(run),
+        *(f"--{k}={v}" for k, v in values.items()),
+    ]
 
 
 @pytest.fixture
@@ -113,3 +125,33 @@ def test_half_of_the_images_are_labelled_ones():
 def test_one_replay_is_refused():
     with pytest.raises(ValueError, match=r"labels\.replays is 1: one alone agrees with itself"):
         LabelSettings(replays=1)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"policy.encoder": "learned", "schedule.pretrain.estimator": 0, "schedule.finetune.estimator": 0,
+          "feeding.garat_start": "identity"}, "nothing learns from labels"),
+        ({"policy.estimator_updates": 0, "schedule.pretrain.estimator": 0}, "nothing learns from labels"),
+        ({"teacher.dagger": 0, "teacher.rehearse": 64, "teacher.steps": 8, "policy.memory": 8},
+         "give members, such as 96"),
+    ],
+)  # fmt: skip
+def test_where_nothing_would_learn_from_them_it_is_told_at_once(changed, message, tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["fit", *options(run, TINY | {"labels.replays": 4} | changed)]) != 0
+    assert message in capsys.readouterr().err and not (run / "step_00").exists()
+
+
+def test_a_run_labels_what_it_records_through_F_too(tmp_path):
+    run = tmp_path / "run"
+    changed = {"labels.replays": 4, "schedule.action_transformation": True, "schedule.until_settled": False}
+    assert main(["fit", *options(run, TINY | changed)]) == 0
+    for step in ("step_00", "step_01"):
+        labelled = read_trajectories(run / step / "replay_labelled.h5")
+        states = np.concatenate([e.observations["state"] for e in labelled])
+        assert 0 < np.isnan(states).mean() < 1
+        assert (run / step / "estimator_replayed/final.ckpt").exists()
+    assert (run / "step_01/dynamics/final.ckpt").exists()
+    of_target = sum(len(read_trajectories(run / s / "target.h5").episodes) for s in ("step_00", "step_01"))
+    assert len(labelled) == of_target, "step 1 labels all recordings so far"
