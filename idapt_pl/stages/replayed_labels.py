@@ -52,13 +52,13 @@ def replayed_labels(
         states = agreed(played)
         told = 1 - np.isnan(np.concatenate(states)).mean(0)
         log.info("step %d  replays tell %.0f %% of the target's states", step, 100 * told.mean())
-        episodes = tuple(labelled(e, s) for e, s in zip(data, states, strict=True))
+        episodes = tuple(told_to(e, s) for e, s in zip(data, states, strict=True))
         return replace(data, episodes=episodes, source=f"{data.source}, with states of the same actions in the source")
 
     return [c.stages.record(step, "replay_labelled", make)[0]]
 
 
-def labelled(episode: Episode, states: np.ndarray) -> Episode:
+def told_to(episode: Episode, states: np.ndarray) -> Episode:
     """Images and actions of a recording, with states (T+1, s)."""
     pixels = episode.observations["pixels"]
     return Episode(episode.actions, {"pixels": pixels, "state": states.astype(np.float32)})
