@@ -40,8 +40,8 @@ def labelled_images(
 ) -> list[Path]:  # fmt: skip
     """Trajectory files with target-like images and states, for what reads them beside the policy's own experience.
 
-    Where a teacher acts on estimates these are source images through G, and the target's own by physics. Elsewhere it
-    is the target's own by replays.
+    The first has source images through G. The others have the target's own: by physics where a teacher acts on
+    estimates, by replays elsewhere. Without labels there are none, as nothing learns from them.
 
     Args:
         c: of the run.

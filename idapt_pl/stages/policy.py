@@ -71,8 +71,9 @@ def fit_grounded_policy(
 ) -> AsymmetricSAC:  # fmt: skip
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
-    Encoders, and estimates where the teacher acts on them, learn from ``labelled``, target-like images with states,
-    too, and these also from ``moved``, source images in poses that no motion brings about, as G shows them. With
+    Where the teacher acts on estimates, they are learned from ``labelled``, target-like images with states, too, and
+    the encoder from ``moved``, source images in poses that no motion brings about, as G shows them. Elsewhere the
+    encoder learns from ``labelled``, first from all and then, as π learns, from those of the target alone. With
     ``feeding.trial_episodes`` episodes in the grounded source say whether it trains again, and whether it is put back.
     """
 
