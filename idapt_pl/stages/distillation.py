@@ -38,11 +38,8 @@ log = logging.getLogger(__name__)
 OFTEN_ENOUGH = 0.95
 """Share of the source's episodes in which a teacher must reach the goal, or another one is trained."""
 
-TRIALS = 20
-"""Episodes by which teachers are compared by their returns."""
-
-GOALS = 100
-"""Episodes by which the share that reaches the goal is measured."""
+TRIALS, GOALS = 20, 100
+"""Episodes by which teachers are compared: of their returns, and of the share that reaches the goal."""
 
 LABELLED = ("observation", "label", "label_log_std")
 """What imitation learns from."""
