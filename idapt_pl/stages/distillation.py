@@ -23,11 +23,10 @@ from idapt_pl.modules import ActionTransformation, AsymmetricSAC, Imitation, Sta
 from idapt_pl.nets.devices import on_device
 from idapt_pl.nets.units import Units, take_in_units
 from idapt_pl.ranges import COUNT_OR_NONE, NOT_NEGATIVE, Range, check_ranges
-from idapt_pl.rl.experience import Experience
+from idapt_pl.rl.dagger import DaggerExperience
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import noisy_return
 from idapt_pl.rl.returns import evaluate
-from idapt_pl.rl.strays import Strays
 from idapt_pl.stage import Stages
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.tasks.recipe import ExpertRecipe
@@ -132,51 +131,6 @@ class TeacherSettings:
     def in_the_source(self) -> TeacherSettings:
         """The same teacher where no source is ever repaired or grounded: all its steps come before it is imitated."""
         return replace(self, steps=self.steps + self.adapt + self.harden, adapt=0, harden=0)
-
-
-class DaggerExperience(Experience):
-    """Acts as teacher or student, step by step by chance, and says what the teacher would have done.
-
-    Args:
-        env: shows the student images, and has the source's states.
-        student: remembers its observations as it does for SAC.
-        teacher: looks at the true states.
-        seed: of resets and of who acts.
-        fading: calls over which the teacher's share falls from 1 to 0.
-        images: give images and states too, for the estimator.
-        strays: share of the steps in which neither acts.
-    """
-
-    def __init__(
-        self, env: VectorEnv, student: AsymmetricSAC, teacher: StateSAC, seed: int, fading: int, images: bool,
-        strays: float = 0.0,
-    ) -> None:  # fmt: skip
-        super().__init__(env, student, seed)
-        self.teacher, self.share, self._fading = teacher, 1.0, fading
-        self._kept = ("observation", "pixels", "state") if images else ("observation",)
-        self._rng = np.random.default_rng(seed)
-        self._strays = Strays(env, strays, seed)
-        self.act = self._act
-
-    def __call__(self) -> dict[str, np.ndarray]:
-        """One step of every simulation: ``observation`` and, for it, what :func:`teacher_labels` says."""
-        labels = teacher_labels(self.teacher, self._state)
-        transitions = super().__call__()
-        self.share = max(0.0, self.share - 1 / self._fading)
-        return {k: transitions[k] for k in self._kept} | labels
-
-    def _act(self, seen: dict[str, np.ndarray]) -> np.ndarray:
-        actions = self.policy.act_on(seen)
-        taught = self._rng.random(len(actions)) < self.share
-        actions[taught] = self.teacher.act(self._state)[taught]
-        return self._strays(actions)
-
-
-@torch.no_grad()
-def teacher_labels(teacher: StateSAC, states: np.ndarray) -> dict[str, np.ndarray]:
-    """The teacher's mean action on states (n, s), in -1..1, and the log of its spread before tanh; both (n, nu)."""
-    mean, log_std = teacher.actor.gaussian(teacher.encode(states))
-    return {"label": mean.tanh().cpu().numpy(), "label_log_std": log_std.cpu().numpy()}
 
 
 class Distillation:
@@ -302,10 +256,15 @@ class Distillation:
             return trained[0]
         while True:
             rates.append(self.success(step, numbered(f"{name}_success", len(trained)), trained[-1]))
-            if rates[-1] >= OFTEN_ENOUGH or len(trained) == self.settings.attempts:
+            goals = f"the teacher reaches the goal in {100 * rates[-1]:.0f} % of {GOALS} episodes in the source"
+            if rates[-1] >= OFTEN_ENOUGH:
+                log.info("step %d  %s", step, goals)
+                return trained[-1]
+            if len(trained) == self.settings.attempts:
+                log.warning("step %d  %s, the best one in %.0f %%. What learns of it cannot do better; a larger "
+                            "teacher.steps helps", step, goals, 100 * max(rates))  # fmt: skip
                 return trained[int(np.argmax(rates))]
-            log.info("step %d  the teacher reaches the goal in %.0f %% of its episodes in the source: another one is "
-                     "trained", step, 100 * rates[-1])  # fmt: skip
+            log.info("step %d  %s: another one is trained", step, goals)
             trained.append(train(numbered(name, len(trained) + 1)))
 
     def success(self, step: int, name: str, teacher: StateSAC) -> float:

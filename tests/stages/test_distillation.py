@@ -19,6 +19,7 @@ from idapt_pl.envs import GroundedEnv, StatesOnly, VectorImageEnv, VectorStateEn
 from idapt_pl.envs.ledger import Ledger
 from idapt_pl.modules import AsymmetricSAC, Imitation, StateSAC
 from idapt_pl.report.run_record import ORDER
+from idapt_pl.rl.dagger import DaggerExperience, teacher_labels
 from idapt_pl.rl.experts import fit_expert
 from idapt_pl.rl.noisy_teacher import MisledTeacher, noisy_return
 from idapt_pl.rl.strays import Strays
@@ -27,11 +28,9 @@ from idapt_pl.stages import distillation
 from idapt_pl.stages.collection import explorer
 from idapt_pl.stages.distillation import (
     LABELLED,
-    DaggerExperience,
     Distillation,
     TeacherSettings,
     copy_critics,
-    teacher_labels,
 )
 from idapt_pl.targets import SimulatedTarget
 from idapt_pl.tasks import make_task
@@ -330,6 +329,18 @@ def test_a_teacher_that_never_reaches_the_goal_in_the_source_is_tried_again(
     rates = [json.loads(p.read_text())["success"] for p in sorted(tmp_path.rglob("source_teacher_success*.json"))]
     assert rates == [float(reached)] * stages
     assert len(list(tmp_path.rglob("source_teacher*/final.ckpt"))) == stages
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.97, "97 % of 100"), (0.6, "the best one in 60 %")])
+def test_how_often_the_teacher_reaches_the_goal_is_said(teaching, monkeypatch, caplog, share, said):
+    kind = type(teaching.worlds.task)
+    monkeypatch.setattr(kind, "metric", "success")
+    monkeypatch.setattr(kind, "success", lambda self, model, data: False)
+    monkeypatch.setattr(Distillation, "success", lambda self, step, name, teacher: share)
+    teaching.settings = replace(teaching.settings, attempts=2)
+    with caplog.at_level("INFO"):
+        teaching.student(0, "source_", image_policy, lambda device: teaching.worlds.grounded(2))
+    assert said in caplog.text and ("teacher.steps" in caplog.text) == (share < 0.9)
 
 
 def test_of_several_attempts_the_one_that_succeeds_goes_on(teaching, tmp_path, monkeypatch):
