@@ -48,6 +48,7 @@ ORDER = (
     "reading_errors",
     "labelled",
     "replay_labelled",
+    "replay_agreement",
     "estimator_replayed",
     "teacher",
     "teacher_trials",

@@ -97,7 +97,8 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         costs["reading_offsets"] = 150.0 * config.labels.offsets
     if config.labels.replays:
         costs["estimator_replayed"] = costs["estimator"]
-        costs["replay_labelled"] = 0.002 * config.labels.replays * (s.images + k * s.interactions)
+        recorded = s.images + k * s.interactions
+        costs |= {"replay_labelled": 0.002 * config.labels.replays * recorded, "replay_agreement": 0.003 * recorded}
     hardened = t.harden > 0 and (not k or costs["teacher"] > 0)  # whenever the teacher is another one
     costs |= learning_costs(config, lengths, lengths.policy, "", 1 if hardened else t.rounds)
     if hardened:

@@ -22,6 +22,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.encoder import translated
+from idapt_pl.stages.replay_agreement import warn_if_read_otherwise
 from idapt_pl.stages.replayed_labels import replayed_labels
 from idapt_pl.worlds import Worlds
 
@@ -55,6 +56,8 @@ def labelled_images(
     """
     if not c.teacher.settings.rehearse:
         told = replayed_labels(c, step, target, G, F)
+        for path in told if pi.supervised else ():
+            warn_if_read_otherwise(c, step, path, pi)
         return [translated(c, step, source, G), *told] if told else []
     known = translated(c, step, source, G)
     return [known, *label_target(c, step, target, known, pi.estimator(G), F, paired_steps)]

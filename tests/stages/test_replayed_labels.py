@@ -15,6 +15,7 @@ from datamodules.stacks import FrameStacks
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.stage import Stages, cpu_trainer
+from idapt_pl.stages.replay_agreement import agreement, warn_if_read_otherwise
 from idapt_pl.stages.replayed_labels import agreed, play_again, replayed_labels
 from idapt_pl.stages.settings import LabelSettings
 from idapt_pl.tasks import make_task
@@ -95,6 +96,41 @@ def test_labels_are_where_a_target_like_the_source_is(pendulum, tmp_path):
     assert replayed_labels(SimpleNamespace(labels=LabelSettings()), 0, [], None, None) == []
 
 
+def test_gains_and_offsets_agree_and_turned_commands_do_not():
+    rng = np.random.default_rng(0)
+    labels = rng.standard_normal((300, 5))
+    labels[::2, 1], labels[:270, 2], labels[:, 4] = np.nan, np.nan, 1.0
+    readings = 0.6 * labels + 0.3 + 0.05 * rng.standard_normal(labels.shape)
+    readings[np.isnan(readings)] = 9.0
+    found = agreement(readings, labels, left_out=[3])
+    assert (found[:2] > 0.99).all() and np.isnan(found[2:]).all()  # too few, left out, constant
+    turned = agreement(readings, np.stack([labels[:, 3], -labels[:, 0]], axis=1))
+    assert abs(turned[0]) < 0.2 and np.isnan(agreement(readings, np.full((300, 5), np.nan))).all()
+    assert agreement(-readings, labels)[0] < -0.99
+
+
+@pytest.mark.parametrize(("sign", "warned"), [(1, False), (-1, True)])
+def test_a_target_that_goes_the_other_way_is_warned_of(tmp_path, caplog, sign, warned):
+    rng = np.random.default_rng(0)
+    shown = rng.integers(0, 255, (80, 1, 1, 3), np.uint8)
+    states = (sign * shown[:, 0, 0].astype(np.float32) / 255) + 0.01 * rng.standard_normal((80, 3)).astype(np.float32)
+    path = tmp_path / "replay_labelled.h5"
+    write_trajectories(path, Trajectories((Episode(np.zeros((79, 1)), {"pixels": shown, "state": states}),), 0.1, ""))
+    pi = SimpleNamespace(
+        hparams=SimpleNamespace(frame_stack=1),
+        encode=lambda pixels: torch.from_numpy(pixels[:, 0, 0, 0].astype(np.float32)),
+    )
+    c = SimpleNamespace(
+        stages=Stages(tmp_path, cpu_trainer, 0), worlds=SimpleNamespace(task=SimpleNamespace(rates={2: 0}))
+    )
+    for _ in range(2):  # it is said again where a run goes on
+        caplog.clear()
+        warn_if_read_otherwise(c, 0, path, pi)
+        assert ("labels.replays 0" in caplog.text) == warned
+    told = c.stages.read(0, "replay_agreement")
+    assert told["components"][2] is None and (told["median"] < -0.9) == warned
+
+
 @pytest.mark.parametrize("rates", [{}, {3: 1}])
 def test_what_is_not_told_teaches_nothing(rates):
     vision = Vision(rates="frames") if rates else Vision()
@@ -152,6 +188,7 @@ def test_a_run_labels_what_it_records_through_F_too(tmp_path):
         states = np.concatenate([e.observations["state"] for e in labelled])
         assert 0 < np.isnan(states).mean() < 1
         assert (run / step / "estimator_replayed/final.ckpt").exists()
+        assert (run / step / "replay_agreement.json").exists()
     assert (run / "step_01/dynamics/final.ckpt").exists()
     of_target = sum(len(read_trajectories(run / s / "target.h5").episodes) for s in ("step_00", "step_01"))
     assert len(labelled) == of_target, "step 1 labels all recordings so far"
