@@ -53,18 +53,30 @@ class Framing:
         return f"parts of the robot leave the picture: {told} of the frames. What is not seen cannot be read; {cure}"
 
 
-def warn_if_outside(worlds: Worlds, recording: Path) -> None:
-    """Say which parts leave the picture in a recording of the source with ``simulation``, and which view shows them."""
+def warn_if_outside(worlds: Worlds, recording: Path, earlier: Path | None = None) -> None:
+    """Say which parts leave the picture in a recording of the source with ``simulation``, and which view shows them.
+
+    Args:
+        worlds: of the run.
+        recording: trajectory file.
+        earlier: the one of the step before. If no other parts left the picture there, it has been said.
+    """
+    found = framing_of(worlds, recording)
+    known = framing_of(worlds, earlier).outside if found.outside and earlier is not None and earlier.exists() else {}
+    if found.outside.keys() - known.keys():
+        log.warning("%s", found)
+
+
+def framing_of(worlds: Worlds, recording: Path) -> Framing:
+    """What leaves the picture in a recording of the source; nothing if it has no ``simulation``."""
     with open_trajectory_file(recording) as f:  # its images, which take longest to read, are not looked at
         observations = [group["observations"] for name, group in f.items() if name.startswith("episode_")]
         simulations = [shown["simulation"][()] for shown in observations if "simulation" in shown]
     if not simulations:
-        return  # of a run of an earlier version
+        return Framing({}, None)  # of a run of an earlier version
     rows = np.concatenate(simulations)
     chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int)]
-    found = framing(worlds.source_domain.compile(), chosen, worlds.view)
-    if found.outside:
-        log.warning("%s", found)
+    return framing(worlds.source_domain.compile(), chosen, worlds.view)
 
 
 def framing(model: mujoco.MjModel, simulations: Iterable[np.ndarray], view: View) -> Framing:

@@ -127,7 +127,7 @@ def rehearse(
 
     path = c.stages.record(step, name, make)[0]
     if policy is None:
-        warn_if_outside(c.worlds, path)
+        warn_if_outside(c.worlds, path, c.stages.folder(step - 1) / path.name if step else None)
     return path
 
 

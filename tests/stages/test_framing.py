@@ -113,3 +113,16 @@ def test_a_recording_is_warned_of(tmp_path, positions, caplog):
         with caplog.at_level(logging.WARNING):
             warn_if_outside(worlds, tmp_path / "source.h5")
         assert ("parts of the robot leave the picture: bar in" in caplog.text) == told
+
+
+@pytest.mark.parametrize(("before", "warned"), [(None, True), (0.6, False), (0.01, True)])
+def test_what_was_said_in_the_step_before_is_not_said_again(tmp_path, positions, caplog, before, warned):
+    worlds = SimpleNamespace(source_domain=DOMAIN, view=View(0.4, 0.1))
+    for name, scale in (("source", 0.6), ("earlier", before)):
+        shown = {"pixels": np.zeros((80, 8, 8, 3), np.uint8), "simulation": np.array(at((scale or 0) * positions))}
+        file = Trajectories((Episode(np.zeros((79, 1), np.float32), shown),), 0.1, "")
+        if scale is not None:
+            write_trajectories(tmp_path / f"{name}.h5", file)
+    with caplog.at_level(logging.WARNING):
+        warn_if_outside(worlds, tmp_path / "source.h5", tmp_path / "earlier.h5")
+    assert ("parts of the robot leave the picture" in caplog.text) == warned
