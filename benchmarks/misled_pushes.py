@@ -31,6 +31,7 @@ from idapt_pl.effects import Domain
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.modules.state_policy import StateSAC
 from idapt_pl.rl.experts import fit_expert
+from idapt_pl.rl.returns import evaluate
 from idapt_pl.stage import Stages, cpu_trainer
 from idapt_pl.tasks import Task, make_task
 
@@ -66,15 +67,9 @@ def misread(states: np.ndarray, errors: np.ndarray) -> np.ndarray:
 def reached(task: Task, domain: Domain, teacher: StateSAC, spread: float) -> float:
     """Share of episodes in which it reaches the goal, with errors of that spread [m]."""
     errors = spread * np.random.default_rng(1).standard_normal((EPISODES, 3, 2))
-    with closing(VectorStateEnv(task, domain, EPISODES)) as env:
-        obs, _ = env.reset(seed=1000)
-        done, succeeded = np.zeros((2, EPISODES), bool)
-        for _ in range(task.horizon):
-            actions = teacher.act(misread(obs["state"], errors), deterministic=True)
-            obs, _, terminations, truncations, _ = env.step(actions)
-            succeeded |= terminations & ~done
-            done |= terminations | truncations
-    return float(succeeded.mean())
+    with closing(VectorStateEnv(task, domain, EPISODES)) as env:  # all at once, each with its own error
+        act = lambda states: teacher.act(misread(states, errors), deterministic=True)  # noqa: E731
+        return evaluate(env, act, EPISODES, 1000).mean
 
 
 def main() -> None:
