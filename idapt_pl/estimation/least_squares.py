@@ -5,13 +5,16 @@ Works on plain arrays and a function from parameters to residuals; knows nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 Residual = Callable[[np.ndarray], np.ndarray]
 """Parameters (p,) to residuals (n, rows), in units of their noise."""
+
+Everywhere = Callable[[Residual, Sequence[np.ndarray]], list[np.ndarray]]
+"""Residuals at several places, in their order; they may be asked for side by side."""
 
 HUBER = 4.0
 """Residuals beyond this many sigma count linearly: a few contacts must not decide."""
@@ -36,6 +39,11 @@ LONGEST_STEP = 20.0
 
 BENEFIT_OF_THE_DOUBT = 3.0
 """How many times what the slopes promise a fit may still gain, for all that is known, when it is about to be left."""
+
+
+def one_by_one(residual: Residual, places: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Residuals at several places, one after the other."""
+    return [residual(x) for x in places]
 
 
 def huber(z: np.ndarray) -> np.ndarray:
@@ -133,6 +141,7 @@ def gauss_newton(
     slopes: np.ndarray | None = None,
     good_enough: float = np.inf,
     cheaper: Residual | None = None,
+    everywhere: Everywhere = one_by_one,
 ) -> LeastSquaresFit:
     """Minimise Huber's loss: iteratively re-weighted Levenberg-Marquardt inside bounds, with numeric derivatives.
 
@@ -148,12 +157,13 @@ def gauss_newton(
         slopes: by the first parameters, known from elsewhere, (n rows, q): only the others' are measured at first.
         good_enough: loss that is asked for. A fit that would not come there, by far, is left.
         cheaper: about the same residuals, with which slopes are measured as long as these lead anywhere.
+        everywhere: how residuals at several places are asked for.
     """
     now, damping = _Point.at(residual, box.clip(x)), 1e-3
-    J, fresh = _slopes(residual, now, box, cheaper, slopes), slopes is None or not slopes.size
+    J, fresh = _slopes(residual, now, box, cheaper, everywhere, slopes), slopes is None or not slopes.size
     for k in range(iterations):
         if k and not fresh and _hopeless(now, J, box, good_enough):  # slopes that steps corrected may be wrong
-            J, fresh = _slopes(residual, now, box, cheaper), True
+            J, fresh = _slopes(residual, now, box, cheaper, everywhere), True
         if _hopeless(now, J, box, good_enough):
             return LeastSquaresFit(now.x, now.loss, J, now.z, given_up=True)
         better, damping = _damped_step(residual, now, J, box, damping, tries=4 if fresh else 1)
@@ -170,19 +180,20 @@ def gauss_newton(
         cheaper = None if fresh and better is None else cheaper  # its slopes lead nowhere
         fresh = (gain < FADING or kept < KEPT_PROMISE) and k + 1 < iterations
         if fresh:
-            J = _slopes(residual, now, box, cheaper)
+            J = _slopes(residual, now, box, cheaper, everywhere)
     if exact and not fresh:
-        J = jacobian(residual, now.x, now.z, box)
+        J = jacobian(residual, now.x, now.z, box, everywhere=everywhere)
     return LeastSquaresFit(now.x, now.loss, J, now.z)
 
 
 def _slopes(
-    residual: Residual, now: _Point, box: ParameterBox, cheaper: Residual | None, known: np.ndarray | None = None
-) -> np.ndarray:
+    residual: Residual, now: _Point, box: ParameterBox, cheaper: Residual | None, everywhere: Everywhere,
+    known: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Slopes at a point, (n rows, p), by the cheaper residuals where there are such."""
     if cheaper is None:
-        return jacobian(residual, now.x, now.z, box, known)
-    return jacobian(cheaper, now.x, cheaper(now.x), box, known)
+        return jacobian(residual, now.x, now.z, box, known, everywhere)
+    return jacobian(cheaper, now.x, cheaper(now.x), box, known, everywhere)
 
 
 def _hopeless(now: _Point, J: np.ndarray, box: ParameterBox, good_enough: float) -> bool:
@@ -207,7 +218,12 @@ def broyden(J: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def jacobian(
-    residual: Residual, x: np.ndarray, base: np.ndarray, box: ParameterBox, known: np.ndarray | None = None
+    residual: Residual,
+    x: np.ndarray,
+    base: np.ndarray,
+    box: ParameterBox,
+    known: np.ndarray | None = None,
+    everywhere: Everywhere = one_by_one,
 ) -> np.ndarray:
     """D residual / d (x / scale), (n rows, p), by one-sided differences inside the bounds.
 
@@ -217,14 +233,14 @@ def jacobian(
         base: the residual there, (n, rows).
         box: scales and bounds.
         known: the first columns, where they need not be measured, (n rows, q).
+        everywhere: how residuals at several places are asked for.
     """
     columns = [] if known is None else list(known.T)
-    for k in range(len(columns), len(x)):
-        h = SMALL_STEP * box.scale[k]
-        h = -h if x[k] + h > box.high[k] else h
-        moved = x.copy()
-        moved[k] += h
-        columns.append((residual(moved) - base).ravel() / (h / box.scale[k]))
+    steps = {k: SMALL_STEP * box.scale[k] for k in range(len(columns), len(x))}
+    steps = {k: -h if x[k] + h > box.high[k] else h for k, h in steps.items()}
+    moved = [x + h * (np.arange(len(x)) == k) for k, h in steps.items()]
+    for (k, h), z in zip(steps.items(), everywhere(residual, moved), strict=True):
+        columns.append((z - base).ravel() / (h / box.scale[k]))
     return np.stack(columns, 1)
 
 

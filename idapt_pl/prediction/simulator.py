@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import ctypes
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -19,12 +20,14 @@ from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.prediction.activations import FirstActivations
 from idapt_pl.prediction.applied_forces import AppliedForces
 from idapt_pl.prediction.backlash import BacklashCoordinates
+from idapt_pl.prediction.compiled_model import CompiledModel
 from idapt_pl.prediction.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.prediction.held_commands import HeldCommands
 from idapt_pl.prediction.interpolation import interpolate_states
 from idapt_pl.prediction.inverse_dynamics import STATE, lacking_at_states
 from idapt_pl.prediction.law_history import LawsInWindows
 from idapt_pl.prediction.recent import RecentArrays
+from idapt_pl.prediction.side_by_side import SideBySide
 
 Effects = tuple[Effect, ...]
 Motion = tuple[np.ndarray, np.ndarray]
@@ -50,24 +53,31 @@ LAW_HOLD = 2e-3
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
 _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
+_silenced: list[object] = []  # what handled warnings before, once for each that wants silence now
+_silencing = threading.Lock()
 
 
 @contextmanager
 def silence_mujoco() -> Iterator[None]:
-    """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(_SILENCE)
+    """Keep MuJoCo's warnings about unstable simulations off the screen and out of its log file, in all threads."""
+    with _silencing:
+        _silenced.append(_silenced[-1] if _silenced else mujoco.get_mju_user_warning())
+        mujoco.set_mju_user_warning(_SILENCE)
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        with _silencing:
+            before = _silenced.pop()
+            if not _silenced:
+                mujoco.set_mju_user_warning(before)
 
 
 class Simulator:
     """Replays windows from their first measured state.
 
     Delays and filters of the model's own actuators act on the commands, as found ones do. Predictions are read off at
-    the samples' own times. What is asked for again is not simulated again.
+    the samples' own times. What is asked for again is not simulated again. Several threads may ask at once
+    (``side_by_side``).
 
     Args:
         spec: the nominal model.
@@ -88,9 +98,11 @@ class Simulator:
         self.threads = threads or os.cpu_count() or 1
         self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
-        self.calls, self.kept_models = 0, 8
+        self.side_by_side = SideBySide(self.threads)
+        self.calls, self.kept_models = 0, 8 + 2 * self.threads
         self._record(data)
-        self._compiled: dict[Effects, tuple[mujoco.MjModel, list[mujoco.MjData]]] = {}
+        self._compiled: dict[Effects, CompiledModel] = {}
+        self._lock = threading.Lock()
 
     def replaying(self, data: list[Recording]) -> Simulator:
         """The same for other recordings; compiled models are shared."""
@@ -118,7 +130,7 @@ class Simulator:
 
     def compile(self, effects: Effects) -> mujoco.MjModel:
         """The model with those effects that MJCF can say; command effects act on the commands instead."""
-        return self._ready(effects)[0]
+        return self._ready(effects).model
 
     def spec_with(self, effects: Sequence[Effect]) -> mujoco.MjSpec:
         """A copy of the model, without delays and filters of its own, with those effects that MJCF can say."""
@@ -128,15 +140,22 @@ class Simulator:
                 effect.constrain(spec) if isinstance(effect, RuntimeEffect) else effect.apply(spec)
         return spec
 
-    def _ready(self, effects: Effects) -> tuple[mujoco.MjModel, list[mujoco.MjData]]:
-        """The model and room to simulate it, for each thread; the last few are kept."""
+    def _ready(self, effects: Effects) -> CompiledModel:
+        """The model and room to simulate it; the last few are kept."""
         said = tuple(e for e in effects if not acts_outside_model(e))
-        if said not in self._compiled:
+        with self._lock:
+            if (kept := self._compiled.get(said)) is not None:
+                return kept
+        made = CompiledModel(self.spec_with(said).compile())
+        with self._lock:
             if len(self._compiled) >= self.kept_models:
                 self._compiled.pop(next(iter(self._compiled)))
-            model = self.spec_with(said).compile()
-            self._compiled[said] = model, [mujoco.MjData(model) for _ in range(self.threads)]
-        return self._compiled[said]
+            return self._compiled.setdefault(said, made)
+
+    @property
+    def _rooms(self) -> int:
+        """In how many threads a batch of windows is simulated: in one where others are simulated beside it."""
+        return 1 if self.side_by_side.within else self.threads
 
     def residual(
         self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None, push: np.ndarray | None = None
@@ -180,13 +199,15 @@ class Simulator:
 
         The latter as they reach the actuators in every time step. Arguments as of :meth:`residual`.
         """
-        self.calls += 1
-        model, data = self._ready(effects)
+        with self._lock:
+            self.calls += 1
+        ready = self._ready(effects)
+        model = ready.model
         times, first = self.times(windows), self._start(effects, windows, nudge)
         steps = int(np.ceil((times[:, windows.offsets[-1]] - times[:, 0]).max() / model.opt.timestep - 1e-6))
         controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
         play = BacklashCoordinates(self.model, model)
-        with silence_mujoco():
+        with silence_mujoco(), ready.room(self._rooms) as data:
             loose = self._settle(play, model, data, effects, windows) if play.size else np.zeros((len(windows), 2, 0))
             first = play.expand(*first, loose)
             return self._roll(model, data, effects, times[:, 0], *first, controls, windows, push), controls
@@ -205,10 +226,11 @@ class Simulator:
 
         Of models without play in joints.
         """
-        model, data = self._ready(effects)
+        ready = self._ready(effects)
+        model = ready.model
         steps = max(1, round(self.control_period / model.opt.timestep))
         controls = self.commands.averaged(effects, windows, steps, model.opt.timestep)
-        with silence_mujoco():
+        with silence_mujoco(), ready.room(self._rooms) as data:
             times = self.times(windows)[:, 0]
             states = self._roll(model, data, effects, times, *self._start(effects, windows), controls, windows)
         mean = states.mean(1)
@@ -230,14 +252,16 @@ class Simulator:
             states: as of :meth:`mean_states`.
             qacc: (n, nv); default is what the model does by itself.
         """
-        model, (data, *_) = self._ready(effects)
+        ready = self._ready(effects)
+        model = ready.model
         controls = self.commands.averaged(effects, windows, 1, self.control_period)[:, 0]
         applied = np.zeros((len(states), model.nv + 6 * model.nbody))
         if any(isinstance(e, ForceEffect) for e in effects):
             self._applied(model, effects).add_to(applied, states)
             laws = LawsInWindows(model, self.model, effects, self.commands, windows)
             applied[:, : model.nv] += laws.forces(states, controls)
-        return lacking_at_states(model, data, states, controls, applied, qacc)
+        with ready.room(1) as (data,):
+            return lacking_at_states(model, data, states, controls, applied, qacc)
 
     def _start(self, effects: Effects, windows: Windows, nudge: np.ndarray | None = None) -> Motion:
         """True positions and velocities where windows begin, (n, nq) and (n, nv), as sensors with errors say."""
@@ -321,7 +345,9 @@ class Simulator:
         if not forces:
             commands = controls if push is None else np.concatenate([controls, pushed], 2)
             spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
-            states, _ = rollout.rollout(model, data, start, commands, control_spec=spec, nstep=steps)
+            states, _ = rollout.rollout(
+                model, data, start, commands, control_spec=spec, nstep=steps, persistent_pool=len(data) > 1
+            )
             return np.concatenate([start[:, None], states], 1)
         laws = LawsInWindows(model, self.model, effects, self.commands, windows)
         library = self._applied(model, effects)
@@ -337,7 +363,7 @@ class Simulator:
                 states[-1],
                 np.concatenate([commands, pushed[:, k : k + held] + applied[:, None]], 2),
                 control_spec=int(COMMAND_AND_FORCE),
-                persistent_pool=self.threads > 1,
+                persistent_pool=len(data) > 1,
             )
             states += list(after.transpose(1, 0, 2))
         return np.stack(states, 1)

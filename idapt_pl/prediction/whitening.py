@@ -31,10 +31,11 @@ def initial_sensitivity(
 ) -> InitialStateSensitivity:
     """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise."""
     base, slope, bend = sim.residual(effects, windows), [], []
-    for nudge in np.diag(size):
-        above, below = (sim.residual(effects, windows, n) for n in (nudge, -nudge))
-        slope.append((above - below) / (2 * nudge.sum()))
-        bend.append((above + below - 2 * base) / (2 * nudge.sum() ** 2))
+    nudges = [n for nudge in np.diag(size) for n in (nudge, -nudge)]
+    moved = iter(sim.side_by_side.map(lambda n: sim.residual(effects, windows, n), nudges))
+    for s, above, below in zip(size, moved, moved, strict=True):
+        slope.append((above - below) / (2 * s))
+        bend.append((above + below - 2 * base) / (2 * s**2))
     return InitialStateSensitivity(np.stack(slope, -1), np.stack(bend, -1))
 
 

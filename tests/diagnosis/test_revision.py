@@ -15,6 +15,7 @@ from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss
 from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.prediction.whitening import WhitenedWindows
 
 N = 40
@@ -53,7 +54,7 @@ def context(loss):
     return SimpleNamespace(
         settings=SearchSettings(numerics=False), numerics_declared=False, progress=lambda what, done: None,
         loss=lambda split, effects: loss({(e.name, e.target) for e in effects}) + noise,
-        fit=fit,
+        fit=fit, sim=SimpleNamespace(side_by_side=SideBySide(1)),
         whitened=lambda split, effects: np.zeros((N, 1)), with_coarse_numerics=lambda effects: effects,
     )  # fmt: skip
 
@@ -144,7 +145,7 @@ SCALED = {("joint_damping", "a"), ("joint_damping", "b"), ("joint_damping", "c")
 def test_a_gain_takes_the_place_of_all_that_it_scales(loss, kept, monkeypatch):
     monkeypatch.setattr(revision, "renew", lambda context, state: state)
     search = context(loss)
-    search.candidates, search.sim = [A, B, C, GAIN], SimpleNamespace(model=SimpleNamespace(nu=2))
+    search.candidates, search.sim.model = [A, B, C, GAIN], SimpleNamespace(nu=2)
     assert names(revision.one_gain_for_many(search, accepted(A, B, C))) == kept
     two = accepted(A, B)
     assert revision.one_gain_for_many(search, two) is two

@@ -18,6 +18,7 @@ from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.effects.world import GravityDirection
 from idapt_pl.estimation.least_squares import LeastSquaresFit
 from idapt_pl.prediction.data import Recording, Windows, choose_rows, over_impacts, with_impacts
+from idapt_pl.prediction.side_by_side import SideBySide
 
 DELAY = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
 FALLING = Candidate(JointStribeck, "a", ("coulomb", "static", "speed"), (0.0, 0.0, 1.0), (0.1, 0.1, 1.0), strength=2)
@@ -119,7 +120,9 @@ def test_what_no_recording_shows_may_be_anything_in_its_range():
     context = SimpleNamespace(
         fit=lambda *args, **options: CandidateFit((solution.x,), solution),
         whitened=lambda split, effects: z,
-        sim=SimpleNamespace(compile=lambda fixed: SimpleNamespace(opt=SimpleNamespace(timestep=0.0))),
+        sim=SimpleNamespace(
+            compile=lambda fixed: SimpleNamespace(opt=SimpleNamespace(timestep=0.0)), side_by_side=SideBySide(1)
+        ),
     )
     measured = measure_intervals(context, state).accepted[0]
     seen, unseen = measured.interval

@@ -53,6 +53,7 @@ their own, and the share of the loss by which one must be better."""
 SIMULATED_PIECES = 8
 """Values that stand for a change that is simulated."""
 
+UNTESTED = (SensingEffect, ExternalForce)  # not taken to change where they are not accepted
 SHOWN_STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
 
@@ -181,7 +182,7 @@ def rival_change(
     others = other_candidates(context, rest, at.order, z)
     beside = accepted_parameters(context, rest, at.order, z)
     rivals = changing_ones(context, rest, at, z, others, beside, shapes, clusters)[:RIVALS]
-    losses = [loss_in_pieces(context, rest, at, r) for r in rivals]
+    losses = context.sim.side_by_side.map(lambda r: loss_in_pieces(context, rest, at, r), rivals)
     best = int(np.argmin(losses)) if rivals else -1
     if best < 0 or rivals[best].parameter.candidate.label == own.parameter.candidate.label:
         return len(others), None, state
@@ -301,18 +302,19 @@ def other_candidates(
     context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
 ) -> list[ParameterInTime]:
     """The first parameter of every candidate that is not accepted: at its nominal value."""
-    known, out = {a.candidate.label for a in state.accepted}, []
-    for c in context.candidates:
-        if c.label in known or issubclass(c.kind, SensingEffect | ExternalForce):
-            continue
+    known = {a.candidate.label for a in state.accepted}
+
+    def first_parameter(c: Candidate) -> ParameterInTime | None:
         x = np.array(c.nominal, float)
         taken_back = any(a.candidate.overlaps(c) for a in state.accepted)  # another value of the same element
         base = all_windows(context, state, (*state.effects, c.effect(x)), order) if taken_back else z
         x[0] += (h := small_step(c, x, 0))
         slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - base) / h
-        if np.linalg.norm(slopes) * c.scale[0] > 1.0:
-            out.append(ParameterInTime(c, 0, float(c.nominal[0]), slopes, None))
-    return out
+        told = np.linalg.norm(slopes) * c.scale[0] > 1.0
+        return ParameterInTime(c, 0, float(c.nominal[0]), slopes, None) if told else None
+
+    others = [c for c in context.candidates if c.label not in known and not issubclass(c.kind, UNTESTED)]
+    return [p for p in context.sim.side_by_side.map(first_parameter, others) if p is not None]
 
 
 def small_step(c: Candidate, x: np.ndarray, k: int) -> float:

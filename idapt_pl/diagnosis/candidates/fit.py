@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idapt_pl.effects.candidate import Candidate
-from idapt_pl.estimation.least_squares import LeastSquaresFit, ParameterBox, gauss_newton
+from idapt_pl.estimation.least_squares import Everywhere, LeastSquaresFit, ParameterBox, gauss_newton, one_by_one
 from idapt_pl.prediction.simulator import Effects
 
 WhitenedResidual = Callable[[Effects], np.ndarray]
@@ -54,6 +54,7 @@ def fit_candidates(
     slopes: np.ndarray | None = None,
     good_enough: float = np.inf,
     cheaper: WhitenedResidual | None = None,
+    everywhere: Everywhere = one_by_one,
 ) -> CandidateFit:
     """Fit the parameters of candidates.
 
@@ -67,6 +68,7 @@ def fit_candidates(
         slopes: by the parameters of the first candidates, where they are known about: (n rows, q).
         good_enough: mean loss that is asked for; a fit that would not come there is left.
         cheaper: about the same residuals, to measure slopes with.
+        everywhere: how residuals under several parameters are asked for.
     """
 
     def with_parameters(of: WhitenedResidual) -> Callable[[np.ndarray], np.ndarray]:
@@ -74,5 +76,5 @@ def fit_candidates(
 
     at, about = with_parameters(residual), None if cheaper is None else with_parameters(cheaper)
     start = np.concatenate([np.asarray(v, float) for v in x])
-    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes, good_enough, about)
+    fit = gauss_newton(at, start, parameter_box(candidates), iterations, exact, slopes, good_enough, about, everywhere)
     return CandidateFit(tuple(split_parameters(candidates, fit.x)), fit)

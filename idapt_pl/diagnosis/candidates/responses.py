@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ class Responses:
 
     def __init__(self) -> None:
         self._kept: dict[Hashable, tuple[Base, np.ndarray]] = {}
-        self._bytes = 0
+        self._bytes, self._lock = 0, threading.Lock()
 
     def under(self, split: WhitenedWindows, residual: np.ndarray, any_model: bool = False) -> ResponsesNow:
         """Responses of windows under a model.
@@ -55,9 +56,10 @@ class Responses:
 
     def keep(self, key: Hashable, base: Base, response: np.ndarray) -> None:
         """Keep one, in place of an older one; where memory is full only what is kept already is renewed."""
-        if key in self._kept or self._bytes + response.nbytes < MOST_BYTES:
-            self._bytes += response.nbytes - (self._kept[key][1].nbytes if key in self._kept else 0)
-            self._kept[key] = base, response
+        with self._lock:
+            if key in self._kept or self._bytes + response.nbytes < MOST_BYTES:
+                self._bytes += response.nbytes - (self._kept[key][1].nbytes if key in self._kept else 0)
+                self._kept[key] = base, response
 
 
 class ResponsesNow:

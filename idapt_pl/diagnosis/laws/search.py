@@ -44,6 +44,9 @@ LEAST_SHARE, LEAST_OF_ALL = 0.3, 0.1
 NETWORKS = 2
 """Joints on which a black box is tried."""
 
+Estimates = tuple[np.ndarray, ...]
+"""Parameters of what was accepted before, then of one more."""
+
 PRICE = 0.03
 """Share of the best gain that every further parameter must be worth."""
 
@@ -203,17 +206,25 @@ def fit_laws(
     context: SearchContext, state: SearchState, proposals: Sequence[Proposal], now: np.ndarray
 ) -> list[FittedLaw]:
     """Fit proposals by simulation on few windows, the best on all, and judge these; ``now``: losses without, (n,)."""
-    rough, slopes = [], slopes_of_accepted(context, state, state.windows.scout)
-    for p in proposals:
+    windows, each = state.windows, context.sim.side_by_side.map
+    few = slopes_of_accepted(context, state, windows.scout)
+
+    def begin(p: Proposal) -> tuple[float, Estimates, Proposal]:
+        candidates, start = [*state.candidates, p.candidate], [*state.estimates, p.start]
+        fit = context.fit(windows.scout, state.fixed, candidates, start, 3, slopes=few)
+        return fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p
+
+    rough = sorted(each(begin, proposals), key=lambda r: r[0])[:FITTED]
+    more = slopes_of_accepted(context, state, windows.screen)
+
+    def judge(begun: tuple[float, Estimates, Proposal]) -> FittedLaw:
+        _, x, p = begun
         candidates = [*state.candidates, p.candidate]
-        start = [*state.estimates, p.start]
-        fit = context.fit(state.windows.scout, state.fixed, candidates, start, 3, slopes=slopes)
-        rough.append((fit.solution.loss * (1 + 0.01 * p.candidate.size), fit.x, p))
-    out, slopes = [], slopes_of_accepted(context, state, state.windows.screen)
-    for _, x, p in sorted(rough, key=lambda r: r[0])[:FITTED]:
-        candidates = [*state.candidates, p.candidate]
-        x = context.fit(state.windows.screen, state.fixed, candidates, x, 5, slopes=slopes).x
-        losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
-        out.append(FittedLaw(p, x, losses, *paired_gain(now, losses, state.windows.held_out.windows.episode)))
-        log.info("tried %s: %.3g", p.candidate.label, losses.mean())
-    return out
+        x = context.fit(windows.screen, state.fixed, candidates, x, 5, slopes=more).x
+        losses = context.loss(windows.held_out, (*state.fixed, *effects_of(candidates, x)))
+        return FittedLaw(p, x, losses, *paired_gain(now, losses, windows.held_out.windows.episode))
+
+    fitted = each(judge, rough)
+    for f in fitted:
+        log.info("tried %s: %.3g", f.candidate.label, f.losses.mean())
+    return fitted

@@ -38,16 +38,15 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     slopes = slopes_of_accepted(context, state, state.windows.screen)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     now = context.loss(state.windows.held_out, state.effects)
-    confirmed, refined = [], 0
-    for t in rough:
-        best = rough[0].rough_loss
-        if refined < context.settings.refined and t.rough_loss <= best + 0.4 * max(without - best, 0.0):
-            confirmed.append(refine(context, state, t, slopes, now))
-            refined += 1
-        else:
-            text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
-            confirmed.append(t.rejected(RejectionReason.POOR_FIT, text))
-    return confirmed
+    best = min((t.rough_loss for t in rough), default=without)
+    near = [t for t in rough if t.rough_loss <= best + 0.4 * max(without - best, 0.0)][: context.settings.refined]
+    confirmed = context.sim.side_by_side.map(lambda t: refine(context, state, t, slopes, now), near)
+
+    def left(t: Trial) -> Trial:
+        text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
+        return t.rejected(RejectionReason.POOR_FIT, text)
+
+    return [*confirmed, *(left(t) for t in rough[len(near) :])]
 
 
 def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Trial]) -> list[Trial]:
@@ -57,14 +56,20 @@ def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Tria
     """
     slopes = slopes_of_accepted(context, state, state.windows.scout)
     without = float(context.loss(state.windows.scout, state.effects).mean())
-    residual, begun = context.about(state.windows.scout, state.effects), []
-    for t in chosen:
-        start = replace(t, x=(*state.estimates, t.x[-1]))
-        begun.append(rough_fit(residual, state, start, FIRST_STEPS, slopes))
+    residual, each = context.about(state.windows.scout, state.effects), context.sim.side_by_side.map
+
+    def begin(t: Trial) -> tuple[Trial, np.ndarray]:
+        return rough_fit(residual, state, replace(t, x=(*state.estimates, t.x[-1])), FIRST_STEPS, slopes)
+
+    begun = each(begin, chosen)
     best = min((t.rough_loss for t, _ in begun), default=without)
     near = best + IN_THE_RACE * max(without - best, 0.0)
-    done = [rough_fit(residual, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t for t, J in begun]
-    return sorted(done, key=lambda t: t.rough_loss)
+
+    def go_on(t_and_slopes: tuple[Trial, np.ndarray]) -> Trial:
+        t, J = t_and_slopes
+        return rough_fit(residual, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t
+
+    return sorted(each(go_on, begun), key=lambda t: t.rough_loss)
 
 
 def rough_fit(

@@ -34,16 +34,16 @@ def force_response(
     """
     sim, n, steps = context.sim, len(split.windows), context.steps
     base = sim.residual(state.effects, split.windows)
-    out = []
-    for v, force in zip(dofs, size, strict=True):
-        each = []
-        for k in range(steps):
-            push = np.zeros((n, steps, sim.model.nv))
-            push[:, k, v] = force
-            moved = sim.residual(state.effects, split.windows, push=push)
-            each.append(whiten(split.W, moved - base) / force)
-        out.append(np.stack(each, -1))
-    return np.stack(out, 2)
+
+    def respond(pushed: tuple[int, float, int]) -> np.ndarray:
+        v, force, k = pushed
+        push = np.zeros((n, steps, sim.model.nv))
+        push[:, k, v] = force
+        return whiten(split.W, sim.residual(state.effects, split.windows, push=push) - base) / force
+
+    every = [(v, force, k) for v, force in zip(dofs, size, strict=True) for k in range(steps)]
+    responses = np.stack(sim.side_by_side.map(respond, every), -1)
+    return responses.reshape(*responses.shape[:2], len(dofs), steps)
 
 
 @dataclass(frozen=True)

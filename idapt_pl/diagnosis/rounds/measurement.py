@@ -37,7 +37,9 @@ def systematic_changes(context: SearchContext, state: SearchState) -> list[np.nd
     """What each systematic error of the sensors would change in the residuals fitted to, (n, rows) each."""
     windows, effects = state.windows, state.effects
     now = context.whitened(windows.fit, effects)
-    return [context.whitened(windows.fit, (*effects, error)) - now for error in windows.noise.systematic]
+    return context.sim.side_by_side.map(
+        lambda error: context.whitened(windows.fit, (*effects, error)) - now, windows.noise.systematic
+    )
 
 
 def with_interval(a: AcceptedEffect, half: np.ndarray, timestep: float) -> AcceptedEffect:

@@ -102,9 +102,9 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
     simpler_ones = [t for t in rivals if old.candidate.size - t.candidate.size >= 2]  # as good is good enough
     worth_fitting = rivals if best_loss > AT_THE_FLOOR else simpler_ones
     slopes = slopes_of_accepted(context, state.without(old), state.windows.fit) if worth_fitting else None
-    for t in worth_fitting:
+    fits = context.sim.side_by_side.map(lambda t: fit_in_place(context, state, old, t, slopes), worth_fitting)
+    for t, x in zip(worth_fitting, fits, strict=True):
         simpler = t in simpler_ones
-        x = fit_in_place(context, state, old, t, slopes)
         if x is None or beyond_its_kind(t.candidate, x[-1]) or why_implausible(t.candidate, x[-1]):
             continue
         candidates = [*state.without(old).candidates, t.candidate]

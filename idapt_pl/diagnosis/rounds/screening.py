@@ -63,12 +63,13 @@ def screen_candidates(
         return scout.score(c, starts_of(context, scout, state.windows.scout, c), round)
 
     many = len(considered) > MANY and not has_play(state) and not judges_forces(state.windows.scout)
-    trials = simulate_the_best(context, state, considered, simulate) if many else [*map(simulate, considered)]
+    each = context.sim.side_by_side.map
+    trials = simulate_the_best(context, state, considered, simulate) if many else each(simulate, considered)
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
     own_step = float(context.sim.model.opt.timestep)
     screen = ScoreTest(context, state, state.windows.screen, own_step)
-    best = [screen.score(t.candidate, t.x, round) for t in best]
+    best = each(lambda t: screen.score(t.candidate, t.x, round), best)
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
     rest = [replace(t, score=t.score * ratio) for t in rest]
     return sorted(best, key=penalised_score, reverse=True) + rest
@@ -88,10 +89,11 @@ def simulate_the_best(
     order = sorted(rough, key=lambda c: -penalised_score(rough[c]))
     best, rest = order[:SIMULATED], order[SIMULATED:]
     sample = rest[:: max(1, len(rest) // SAMPLED)]
-    trials = [simulate(c) for c in candidates if c in best or not acts_as_force(c)]
-    drawn = [simulate(c) for c in sample]
+    each = context.sim.side_by_side.map
+    trials = each(simulate, [c for c in candidates if c in best or not acts_as_force(c)])
+    drawn = each(simulate, sample)
     if max(t.score for t in drawn) > MISSED * max(t.score for t in trials):
-        return [*map(simulate, candidates)]
+        return each(simulate, candidates)
     return [*trials, *drawn, *(replace(rough[c], round=trials[0].round) for c in rest if c not in sample)]
 
 
@@ -153,7 +155,9 @@ class ScoreTest:
         z, self.base = context.whitened(split, state.effects), self.residual(state.effects)
         self.responses = (kept or Responses()).under(split, self.base, any_model)
         self.root = np.sqrt(huber_weights(z.ravel()))[:, None]
-        accepted = [self.derivative(a.candidate, a.x, k) for k, a in enumerate(state.accepted)]
+        accepted = context.sim.side_by_side.map(
+            lambda k: self.derivative(state.candidates[k], state.estimates[k], k), range(len(state.accepted))
+        )
         D = np.concatenate(accepted, 1) * self.root if accepted else np.zeros((z.size, 0))
         self.Q = np.linalg.qr(D)[0]
         self.left = self.clear(z.reshape(-1, 1))[:, 0]

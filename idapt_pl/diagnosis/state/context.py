@@ -102,7 +102,10 @@ class SearchContext:
             return self.whitened(split, self.with_coarse_numerics(effects))
 
         cheaper = coarse if self.has_finer_numerics(fixed) and not exact else None
-        return fit_candidates(residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper)
+        everywhere = self.sim.side_by_side.map
+        return fit_candidates(
+            residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper, everywhere
+        )
 
     def about(self, split: WhitenedWindows, effects: Effects) -> Callable[[Effects], np.ndarray]:
         """What other effects leave, whitened, about: where finer time steps were found than the model's own.

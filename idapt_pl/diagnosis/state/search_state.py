@@ -114,7 +114,7 @@ def slopes_of_accepted(context: SearchContext, state: SearchState, split: Whiten
         return context.whitened(split, context.with_coarse_numerics(effects))
 
     x = np.concatenate(state.estimates)
-    return jacobian(at, x, at(x), parameter_box(state.candidates))
+    return jacobian(at, x, at(x), parameter_box(state.candidates), everywhere=context.sim.side_by_side.map)
 
 
 def refit_accepted(context: SearchContext, state: SearchState, iterations: int = 6) -> SearchState:
