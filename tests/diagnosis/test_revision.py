@@ -151,6 +151,20 @@ def test_a_gain_takes_the_place_of_all_that_it_scales(loss, kept, monkeypatch):
     assert revision.one_gain_for_many(search, two) is two
 
 
+def test_places_that_stood_beside_the_last_change_are_not_gone_through_again(monkeypatch):
+    """Of four places the second gets another effect: the next pass ends there, as the others saw it already."""
+    seen = []
+
+    def swap(context, state, place, rivals):
+        seen.append(place)
+        return replace(state) if seen == [0, 1] else state
+
+    monkeypatch.setattr(revision, "swap_one", swap)
+    monkeypatch.setattr(revision, "rivals_for", lambda context, state, place: [])
+    revision.swap_for_rivals(context(lambda found: 100.0), accepted(A, B, C, RIVAL))
+    assert seen == [0, 1, 2, 3, 0, 1]
+
+
 def test_what_may_be_as_the_model_has_it_is_left_out_and_the_rest_measured_again(monkeypatch):
     """One interval holds the nominal value; it goes, and the other estimate stays."""
     ends = {"joint_damping(a)": (0.4, 0.6), "joint_damping(b)": (-0.1, 1.1)}

@@ -57,15 +57,17 @@ def swap_for_rivals(context: SearchContext, state: SearchState) -> SearchState:
     one of many parameters beside others, and there a simpler one that is as good takes its place.
     """
     context.progress("trying rivals", 0.88)
+    last = len(state.accepted)  # place in which a rival came last: those after it stood beside it already
     for _ in range(SWAP_PASSES):
         far = len(state.accepted) > 1 and far_from_explained(context, state)
         places = len(state.accepted) if far or len(state.accepted) < 2 else len(state.accepted) - 1
         before = state
-        for place in range(places):
+        for place in range(min(places, last + 1)):
             bends = len(state.accepted) > 1 and state.accepted[place].candidate.size >= MANY_PARAMETERS
             afresh = bends or (far and place < PLACES_SCREENED)
             rivals = rivals_for(context, state, place) if afresh else state.accepted[place].rivals
-            state = swap_one(context, state, place, rivals)
+            other = swap_one(context, state, place, rivals)
+            state, last = other, last if other is state else place
         if not far or state is before:
             break
     return state
