@@ -26,7 +26,7 @@ from idapt_pl.run_folder.shipped_configs import config_path
 from idapt_pl.sweep.folder import BY_HAND, DONE, FAILED, RUNNING, SweepFolder
 from idapt_pl.sweep.plan import PlannedRun, plan_sweep
 from idapt_pl.sweep.report import write_sweep_report
-from idapt_pl.sweep.runner import LocalRunner, local_slots, usable_cores, visible_devices
+from idapt_pl.sweep.runner import LocalRunner, local_slots, visible_devices
 from idapt_pl.sweep.settings import SweepSettings, read_sweep
 from idapt_pl.sweep.table import (
     SweepProgress,
@@ -38,6 +38,7 @@ from idapt_pl.sweep.table import (
     sweep_table,
 )
 from idapt_pl.sweep.work import SweepWorker
+from idapt_pl.usable_cores import usable_cores
 
 EXAMPLES = """examples:
   idapt sweep --config configs/sweeps/pendulum.yaml --dry-run      # what would run; and how long, once runs are done

@@ -224,7 +224,7 @@ def test_planted_cycles_are_found(tmp_path):
 
 
 def test_diagnosis_reaches_nothing_that_learns():
-    reach = {"prediction", "effects", "estimation", "files", "ranges"}
+    reach = {"prediction", "effects", "estimation", "files", "ranges", "usable_cores"}
     assert reached(package_graph(), "diagnosis") - {"diagnosis"} <= reach
 
 
@@ -237,7 +237,7 @@ def test_a_diagnosis_is_made_in_layers():
 
 ROOT_MODULES = {
     "grounding", "run", "run_config", "stage", "worlds", "losses", "files", "checkpoints", "memory", "cores",
-    "health", "ranges",
+    "health", "ranges", "usable_cores",
 }  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import torch
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.answer.result import ChannelError, EffectEstimate
@@ -197,7 +198,8 @@ def diagnose_by_windows(
         return WindowDiagnosis.of(diagnose(
             source.within_mjcf.spec(), equal_pieces(data, length), source.beyond_mjcf, candidates=options.candidates,
             seed=seed, settings=SearchSettings(max_effects=most, numerics=False, plausible=False),
-             unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen), laws=False,
+            unmeasured=readings.unmeasured, noise=calibration.noise(model, task.unseen), laws=False,
+            threads=torch.get_num_threads(),
         ))  # fmt: skip
 
     control = diagnose_pieces(readings.control, options.max_effects)

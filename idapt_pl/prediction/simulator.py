@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import ctypes
-import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from idapt_pl.prediction.inverse_dynamics import STATE, lacking_at_states
 from idapt_pl.prediction.law_history import LawsInWindows
 from idapt_pl.prediction.recent import RecentArrays
 from idapt_pl.prediction.side_by_side import SideBySide
+from idapt_pl.usable_cores import usable_cores
 
 Effects = tuple[Effect, ...]
 Motion = tuple[np.ndarray, np.ndarray]
@@ -83,7 +83,7 @@ class Simulator:
         spec: the nominal model.
         data: the recordings.
         velocities: compare velocities too (they were measured); else positions alone.
-        threads: for stepping; default all cores.
+        threads: for stepping; default all cores that this process may use.
         unmeasured: names of joints, or ``"<joint> velocity"``, that are not compared: their recordings only say where
             to begin.
     """
@@ -95,7 +95,7 @@ class Simulator:
         self.spec, self.velocities = spec, velocities
         self._plain, self.own = take_signals(spec)
         self.model = self._plain.copy().compile()
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or usable_cores()
         self.control_period = float(np.median(np.diff(data[0].time)))
         self.compared = np.array([not {n, n.split(" velocity")[0]} & {*unmeasured} for n in self.channels])
         self.side_by_side = SideBySide(self.threads)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from idapt_pl.effects.visual import engine_of
 from idapt_pl.rendering.make import filament_is_used, make_renderer
 from idapt_pl.rendering.process import RenderProcess
+from idapt_pl.usable_cores import usable_cores
 
 MOST_PROCESSES = 3
 """Further processes of an engine by default, at most: each takes some 300 MB, and steps have few frames to share."""
@@ -27,8 +27,7 @@ Vulkan: a driver may not bear both in one process."""
 
 def usual_processes() -> int:
     """One for each core that this process may use but the one it runs on, within bounds."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(MOST_PROCESSES, cores - 1)
+    return min(MOST_PROCESSES, usable_cores() - 1)
 
 
 class BatchRenderer(Protocol):

@@ -19,9 +19,10 @@ from filelock import Timeout
 from idapt_pl.sweep.child import GRACE
 from idapt_pl.sweep.folder import DONE, FAILED, RUNNING, WAITING, RunStatus, SweepFolder, last_stage
 from idapt_pl.sweep.nodes import check_nodes, look_at_nodes, reachable
-from idapt_pl.sweep.runner import TICK, usable_cores
+from idapt_pl.sweep.runner import TICK
 from idapt_pl.sweep.storage import RunStorage, parts_of
 from idapt_pl.sweep.work import PATIENCE, SweepWorker
+from idapt_pl.usable_cores import usable_cores
 
 LOSSES = 10
 """How often the machine of a run may be lost before the run counts as failed."""

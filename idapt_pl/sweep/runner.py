@@ -8,20 +8,12 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import psutil
-
 from idapt_pl.sweep.child import GRACE
 from idapt_pl.sweep.settings import RunResources
 from idapt_pl.sweep.work import SweepWorker
 
 TICK = 1.0
 """Seconds between looks at all runs."""
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    process = psutil.Process()
-    return len(process.cpu_affinity()) if hasattr(process, "cpu_affinity") else (os.cpu_count() or 1)
 
 
 def visible_devices() -> list[str]:

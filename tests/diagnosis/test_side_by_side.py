@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import psutil
 import pytest
 from arm import ARM, record
 
@@ -75,6 +76,12 @@ def test_predictions_do_not_depend_on_threads():
         assert all(np.array_equal(a, b) for a, b in zip(alone, beside, strict=True))
     assert once == len(others), "what is asked for again is not simulated again"
     assert np.ptp([np.abs(r).mean() for r in alone]) > 0
+
+
+def test_as_many_threads_as_the_process_may_use_cores(monkeypatch):
+    monkeypatch.setattr(psutil.Process, "cpu_affinity", lambda self: [3, 5, 6], raising=False)
+    data, velocities = as_recordings(mujoco.MjSpec.from_string(ARM).compile(), record(episodes=3))
+    assert Simulator(mujoco.MjSpec.from_string(ARM), data, velocities).threads == 3
 
 
 def test_a_diagnosis_does_not_depend_on_threads():
