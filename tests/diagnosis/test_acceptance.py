@@ -2,11 +2,14 @@
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
+from arm import ARM, record
 
 from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
-from idapt_pl.diagnosis.rounds.acceptance import accept
+from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.rounds.acceptance import accept, rough_fits
 from idapt_pl.diagnosis.rounds.gates import (
     GATES,
     Judged,
@@ -151,3 +154,27 @@ def test_all_gates_that_a_candidate_does_not_pass_are_told_the_first_one_first()
 def test_all_gates_can_be_asked_where_nothing_is_above_the_floor():
     t = Trial(**{**vars(trial(DAMPING, 1.2)), "gain": -0.2})
     assert next(objections(judged(t, 0.99, further=False)))[0].__name__ == "sure_gain"
+
+
+def test_fits_that_would_not_come_to_what_is_asked_for_are_left_and_the_others_are_the_same():
+    damped = ARM.replace('damping="0.05"', 'damping="0.6"')
+    context, _ = begin_search(mujoco.MjSpec.from_string(ARM), record(damped, episodes=4), threads=1)
+    right, wrong = (
+        Trial(c, 0, 100.0, (np.array(c.nominal),))
+        for c in context.candidates
+        if c.label in ("joint_damping(shoulder)", "joint_stiffness(elbow)")
+    )
+
+    def fitted(**asked):
+        """Both by candidate, and how many simulations that took."""
+        context, state = begin_search(mujoco.MjSpec.from_string(ARM), record(damped, episodes=4), threads=1)
+        before = context.sim.calls
+        found = {t.candidate: t for t in rough_fits(context, state, [right, wrong], **asked)}
+        return found[right.candidate], found[wrong.candidate], context.sim.calls - before
+
+    whole, poor, simulations = fitted()
+    same, left, fewer = fitted(good_enough=1.2)
+    assert whole.rough_loss < 1.2 < poor.rough_loss
+    assert np.array_equal(same.x[0], whole.x[0]) and same.rough_loss == whole.rough_loss
+    assert np.array_equal(left.x[0], wrong.x[0]) and left.rough_loss > 1.2, "not a step was taken"
+    assert fewer < simulations

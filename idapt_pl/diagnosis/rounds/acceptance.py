@@ -49,17 +49,20 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     return [*confirmed, *(left(t) for t in rough[len(near) :])]
 
 
-def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Trial]) -> list[Trial]:
+def rough_fits(
+    context: SearchContext, state: SearchState, chosen: Sequence[Trial], good_enough: float = np.inf
+) -> list[Trial]:
     """Refit candidates, with all accepted effects free, on few windows, best first.
 
-    After some steps those that are far behind are left as they are.
+    After some steps those that are far behind are left as they are, and so are those that would not come to a mean
+    loss of ``good_enough``.
     """
     slopes = slopes_of_accepted(context, state, state.windows.scout)
     without = float(context.loss(state.windows.scout, state.effects).mean())
     residual, each = context.about(state.windows.scout, state.effects), context.sim.side_by_side.map
 
     def begin(t: Trial) -> tuple[Trial, np.ndarray]:
-        return rough_fit(residual, state, replace(t, x=(*state.estimates, t.x[-1])), FIRST_STEPS, slopes)
+        return rough_fit(residual, state, replace(t, x=(*state.estimates, t.x[-1])), FIRST_STEPS, slopes, good_enough)
 
     begun = each(begin, chosen)
     best = min((t.rough_loss for t, _ in begun), default=without)
@@ -67,17 +70,17 @@ def rough_fits(context: SearchContext, state: SearchState, chosen: Sequence[Tria
 
     def go_on(t_and_slopes: tuple[Trial, np.ndarray]) -> Trial:
         t, J = t_and_slopes
-        return rough_fit(residual, state, t, STEPS - FIRST_STEPS, J)[0] if t.rough_loss <= near else t
+        return rough_fit(residual, state, t, STEPS - FIRST_STEPS, J, good_enough)[0] if t.rough_loss <= near else t
 
     return sorted(each(go_on, begun), key=lambda t: t.rough_loss)
 
 
 def rough_fit(
-    residual: WhitenedResidual, state: SearchState, t: Trial, steps: int, slopes: np.ndarray
+    residual: WhitenedResidual, state: SearchState, t: Trial, steps: int, slopes: np.ndarray, good_enough: float
 ) -> tuple[Trial, np.ndarray]:
     """Some steps from where a trial is; ``slopes`` by the first parameters. With the slopes by all where it ended."""
     candidates = [*state.candidates, t.candidate]
-    fit = fit_candidates(residual, state.fixed, candidates, t.x, steps, slopes=slopes)
+    fit = fit_candidates(residual, state.fixed, candidates, t.x, steps, slopes=slopes, good_enough=good_enough)
     return replace(t, x=fit.x, rough_loss=fit.solution.loss), fit.solution.J
 
 

@@ -89,8 +89,8 @@ def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[T
     rest = refit_accepted(context, state.without(state.accepted[place]))
     ranked = screen_candidates(context, rest, len(state.accepted), as_seen_before=True)
     others = [t for t in ranked if (t.candidate.label, t.candidate.names) != (own.label, own.names)]
-    rough = rough_fits(context, rest, shortlist(others, context.settings.confirm))
     most = IN_SIGHT * float(context.loss(state.windows.scout, state.effects).mean())
+    rough = rough_fits(context, rest, shortlist(others, context.settings.confirm), most)
     return [t for t in rough if t.rough_loss < most][:3]
 
 
