@@ -108,8 +108,8 @@ class SeparationCriterion:
             Forecasts, residuals (n, windows, rows) and their derivatives by the free parameters (n, windows, rows, p).
         """
         assert self.W is not None, "calibrate first"
-        whitening = self.W
-        forecasts = [self.forecast(coarse(r), commands) for r in self.rivals]
+        whitening, each = self.W, self.forecast.sim.side_by_side.map
+        forecasts = each(lambda r: self.forecast(coarse(r), commands), self.rivals)
         recordings = forecasts[0].recordings(commands)
         windows, sim = self.windows(forecasts[0], commands), self.forecast.sim.replaying(recordings)
 
@@ -117,8 +117,9 @@ class SeparationCriterion:
             z = sim.residual(effects, windows).reshape(len(windows), -1) @ whitening.T
             return np.clip(z, -1e3, 1e3).reshape(len(commands), -1, len(whitening))
 
-        z = [whitened(coarse(r)) for r in self.rivals]
-        return forecasts, z, [derivatives(r, base, whitened) for r, base in zip(self.rivals, z, strict=True)]
+        z = each(lambda r: whitened(coarse(r)), self.rivals)
+        pairs = zip(self.rivals, z, strict=True)
+        return forecasts, z, each(lambda pair: derivatives(*pair, whitened), pairs)
 
     def differences(self, z: Sequence[np.ndarray], slopes: Sequence[np.ndarray]) -> list[np.ndarray]:
         """What tells each pair apart, (n, windows, rows), without what either one's parameters can explain."""
@@ -127,7 +128,8 @@ class SeparationCriterion:
 
     def after_refit(self, commands: np.ndarray) -> np.ndarray:
         """Separations of all pairs by a motion (T, nu), one rival fitted again to what the other predicts, (pairs,)."""
-        left = [self.left_by_others(a, commands[None]) for a in range(len(self.rivals))]
+        each = self.forecast.sim.side_by_side.map
+        left = each(lambda a: self.left_by_others(a, commands[None]), range(len(self.rivals)))
         return np.array([min(left[a][b], left[b][a]) for a, b in self.pairs])
 
     def left_by_others(self, truth: int, commands: np.ndarray) -> list[float]:

@@ -11,6 +11,7 @@ from idapt_pl.excitation.criterion import SeparationCriterion
 from idapt_pl.excitation.forecast import coarse
 from idapt_pl.excitation.limits import ImpossibleMotion
 from idapt_pl.excitation.motion import fourier_motion
+from idapt_pl.prediction.side_by_side import SideBySide
 
 
 def criterion(*explanations, xml=None, noise=NOISE):
@@ -39,6 +40,17 @@ def test_an_explanation_is_not_apart_from_itself_nor_from_its_twin():
     twins = criterion(OFFSET, FORCE, xml=RAIL)
     assert twins(motions(3)).separations.max() < 0.1
     assert twins.after_refit(motions(1)[0]).max() < 0.1
+
+
+def test_separations_do_not_depend_on_threads():
+    def seen(threads):
+        made = criterion(DAMPING, FRICTION, ARMATURE)
+        made.forecast.sim.threads = threads
+        made.forecast.sim.side_by_side = SideBySide(threads)
+        return made(motions(3)).separations, made.after_refit(motions(1)[0])
+
+    for one, three in zip(seen(1), seen(3), strict=True):
+        assert np.array_equal(one, three) and one.max() > 1
 
 
 def test_what_a_refit_explains_does_not_count():
