@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from idapt_pl.cores import usable_threads
+from idapt_pl.run_folder.kept_warnings import keeping_warnings
 from idapt_pl.stages.aside import in_turn
 
 log = logging.getLogger(__name__)
@@ -129,7 +130,8 @@ def main(args: list[str]) -> int:
 
     folder, name = args
     try:
-        open_aside(Path(folder), only(name)).grounding.run()
+        with keeping_warnings(Path(folder)):
+            open_aside(Path(folder), only(name)).grounding.run()
     except WorkIsDone:
         return 0
     except Exception as error:  # the process that waits says it in its own way

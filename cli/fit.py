@@ -29,6 +29,7 @@ from idapt_pl.report.run_page import write_run_report
 from idapt_pl.run import Run
 from idapt_pl.run_config import RunConfig, usual_folder
 from idapt_pl.run_folder.kept_config import without_retired
+from idapt_pl.run_folder.kept_warnings import keeping_warnings
 from idapt_pl.run_folder.time_left import TimeLeft, expected_seconds
 from idapt_pl.stage import stage_trainer_settings
 from idapt_pl.stages.aside import Aside, in_turn
@@ -160,7 +161,9 @@ def main(args: list[str]) -> int:
         raise ValueError(f"seed_everything: {cli.config.seed_everything} has no effect here; the root seed is --seed")
     run = cli.run()
     method = run.method  # settings that contradict each other end it here, where nothing is written yet
-    with claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside):
+    with (
+        claim(run.folder), resumable(run.folder, "idapt fit", "stages"), ended(run.aside), keeping_warnings(run.folder),
+    ):  # fmt: skip
         write_provenance(cli.parser, cli.config, run.folder, cli.shortened_by)
         keep_known_effects(run)
         beside = isinstance(run.aside, OtherProcesses)

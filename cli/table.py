@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from idapt_pl.report.run_wording import format_score
+from idapt_pl.run_folder.kept_warnings import read_warnings
 from idapt_pl.stages.shortened import shortened_sentence
 
 NAMES = {"idapt": "IDAPT", "cc_state": "CC-State", "cc_image": "CC-Image"}
@@ -42,9 +43,19 @@ def print_summary(summary: dict, run_dir: Path, report: Path) -> None:
         console.print(f"settled: step {summary['settled']} showed nothing left to learn, the policy before it stays")
     if summary["rolled_back"]:
         console.print(f"rolled back: grounding step {', '.join(map(str, summary['rolled_back']))}")
+    for said in told_warnings(run_dir):
+        console.print(f"warned: {said}", soft_wrap=True, markup=False, highlight=False)
     console.print(f"the story of the run: {report}", soft_wrap=True)
     watch = f"tensorboard --logdir {shlex.quote(str(run_dir))}"
     console.print(f"everything is in {run_dir}; watch it with: {watch}", soft_wrap=True)
+
+
+def told_warnings(run_dir: Path) -> list[str]:
+    """What a run warned of, or why that cannot be read: it has ended all the same."""
+    try:
+        return read_warnings(run_dir)
+    except ValueError as error:
+        return [str(error)]
 
 
 def measured_policies(summary: dict) -> list[tuple[str, str]]:

@@ -46,7 +46,8 @@ def write_run_report(run: Run, path: Path | None = None) -> Path:
 def run_page(record: RunRecord, run: Run) -> str:
     """The whole page."""
     metric = run.worlds.task.metric
-    parts = [shortened_section(record), outcome_header(record, metric), missing_section(record), known_section(record)]
+    parts = [shortened_section(record), outcome_header(record, metric), missing_section(record)]
+    parts += [warnings_section(record), known_section(record)]
     parts.append(returns_section(record, metric))
     steps = () if record.stepless else record.steps
     parts += [step_section(record, step, metric, run) for step in steps]
@@ -117,6 +118,11 @@ def missing_section(record: RunRecord) -> str:
     if record.unreadable:
         parts.append(f"These files cannot be read and are left out: {', '.join(record.unreadable)}.")
     return section("What is missing", *map(paragraph, parts)) if parts else ""
+
+
+def warnings_section(record: RunRecord) -> str:
+    """What the run warned of; nothing where it did not."""
+    return section("What the run warned of", *map(paragraph, record.warnings)) if record.warnings else ""
 
 
 def known_section(record: RunRecord) -> str:

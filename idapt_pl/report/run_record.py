@@ -13,6 +13,7 @@ from idapt_pl.envs.ledger import Ledger
 from idapt_pl.files import read_json
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.run_folder.kept_config import read_kept_config
+from idapt_pl.run_folder.kept_warnings import WARNINGS, read_warnings
 from idapt_pl.run_folder.results import belongs
 
 ORDER = (
@@ -133,6 +134,7 @@ class RunRecord:
         direct_transfer: the source policy in the target.
         oracle: the reference that trained in the target; empty if there is none.
         steps: those that have begun.
+        warnings: what the run warned of.
         unreadable: files that are there but make no sense.
     """
 
@@ -143,6 +145,7 @@ class RunRecord:
     direct_transfer: dict
     oracle: dict
     steps: list[StepRecord]
+    warnings: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
 
     @property
@@ -238,6 +241,7 @@ def read_run_record(run: Path) -> RunRecord:
         direct if "mean" in (direct := files.read(first / "direct_transfer.json", ("interactions",))) else {},
         files.read(first / "oracle_evaluation.json", ("mean", "std")),
         [read_step_record(folder, ledger, files) for folder in sorted(run.glob("step_[0-9]*"))],
+        files.read_as(run / WARNINGS, lambda _: read_warnings(run)) or [],
         files.unreadable,
     )
 

@@ -1,10 +1,12 @@
 """The table that a run ends with calls policies by their method, and scores by what they are."""
 
+import logging
 from pathlib import Path
 
 import pytest
 
 from cli.table import measured_policies, print_summary
+from idapt_pl.run_folder.kept_warnings import keeping_warnings
 
 SUMMARY = {"direct_transfer": 0.25, "visual_only": 0.85, "grounded": [0.95, None], "effects": [], "settled": None}
 
@@ -30,3 +32,12 @@ def test_a_shortened_run_ends_with_what_it_is_worth(by, capsys):
     said = "lengths divided by 200: this shows that it runs, not what it can reach" in out
     assert "tensorboard --logdir 'my run'" in out, "a command that can be copied"
     assert said == (by != 1)
+
+
+def test_what_a_run_warned_of_stands_at_its_end_as_it_was_said(tmp_path, capsys):
+    told = {"metric": "return", "method": "idapt", "oracle": None, "task": "cart", "target": "hard", "seed": 0}
+    told |= {"episodes": 2, "target_interactions": 9, "wall_s": 60.0, "rolled_back": [], "shortened_by": 1.0}
+    with keeping_warnings(tmp_path):
+        logging.getLogger("idapt_pl.stages").warning("view {share: 0.7} [of the frames] shows them")
+    print_summary(SUMMARY | told, tmp_path, tmp_path / "report.html")
+    assert "warned: view {share: 0.7} [of the frames] shows them" in capsys.readouterr().out

@@ -95,6 +95,8 @@ def content(path: Path):
         return found
     if path.name == "ledger.json":
         return {str(i): str(e) for i, e in enumerate(sorted(json.loads(path.read_text())["entries"], key=str))}
+    if path.name == "warnings.json":
+        return {"warnings": sorted(json.loads(path.read_text())["warnings"])}  # processes beside warn when they do
     if path.suffix == ".json":
         return without_times(json.loads(path.read_text()))
     return path.read_bytes()

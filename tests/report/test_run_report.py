@@ -27,6 +27,7 @@ from idapt_pl.image_diagnosis.result import (
 )
 from idapt_pl.report.run_pictures import spread_stacks, translated_examples
 from idapt_pl.report.run_record import read_run_record
+from idapt_pl.run_folder.kept_warnings import WARNINGS
 from idapt_pl.worlds import Worlds
 
 STEPS = TINY["schedule.grounding_steps"]
@@ -140,6 +141,14 @@ def test_a_shortened_run_says_first_of_all_what_it_is_worth(copied):
     text = report(copied).text
     said = text.index("Lengths divided by 200: this shows that it runs, not what it can reach.")
     assert said < text.index("in the target:")
+
+
+def test_what_the_run_warned_of_is_told(copied):
+    (copied / WARNINGS).unlink(missing_ok=True)
+    assert "warned of" not in report(copied).text
+    write_json(copied / WARNINGS, {"warnings": ["begin anew, by x < 12", "of another thing"]})
+    text = report(copied).text
+    assert "What the run warned of" in text and "begin anew, by x < 12" in text and "of another thing" in text
 
 
 def test_damaged_files_are_named_and_the_rest_is_told(copied):
