@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,7 +20,9 @@ LONGEST_WAIT = 30.0
 
 
 class WarningKeeper(logging.Handler):
-    """Writes every warning of this project to a run folder, each sentence once. Several processes may do so.
+    """Writes every warning of this project to a run folder; of those that differ in numbers alone the newest.
+
+    Several processes may do so.
 
     Args:
         folder: of the run.
@@ -35,9 +38,13 @@ class WarningKeeper(logging.Handler):
             return
         said, path = record.getMessage(), self.folder / WARNINGS
         with suppress(OSError, ValueError), FileLock(path.with_name(f".{path.name}.lock"), timeout=LONGEST_WAIT):
-            known = read_warnings(self.folder)
-            if said not in known:
-                write_json(path, {"warnings": [*known, said]})
+            others = [w for w in read_warnings(self.folder) if without_numbers(w) != without_numbers(said)]
+            write_json(path, {"warnings": [*others, said]})
+
+
+def without_numbers(said: str) -> str:
+    """A sentence with all numbers alike."""
+    return re.sub(r"-?\d+(\.\d+)?", "#", said)
 
 
 @contextmanager
