@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idapt_pl.effects import Domain
 from idapt_pl.prediction.data import position_difference
+from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.fixed_lag import (
     POSITION_NOISE,
@@ -96,8 +96,7 @@ class RecordingSmoother:
             known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k, self.starts)
             return smooth_episode(known, recordings[k].readings, recordings[k].actions)
 
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(smooth, range(len(recordings))))
+        return SideBySide(self.threads).map(smooth, range(len(recordings)))
 
     def supposing(self, factor: float) -> RecordingSmoother:
         """With readings that are so many times as wrong."""
