@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.collection import explorer, on_policy, record_source, record_target, replay_in_source
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
+from idapt_pl.stages.cut_episodes import as_cut, cut_horizon, cut_where_lost
 from idapt_pl.stages.dynamics import fit_F
 from idapt_pl.stages.encoder import fit_encoder
 from idapt_pl.stages.labels import labelled_images
@@ -95,18 +96,32 @@ class IterativeGrounding:
     def begin(self) -> Grounding:
         """Step 0: task-agnostic data, the source policy, G, and a policy that sees through G."""
         c, lengths = self.context, self.schedule.pretrain
-        D_T = (self.explore_target(),)
+        D_T: tuple[Path, ...] = (self.explore_target(),)
         self.repair.visual_effects(D_T[0])
-        D_S = (self.explore_source(),)
+        D_S: tuple[Path, ...] = (self.explore_source(),)
         moved = moved_poses(c, 0, D_S)
         P_S = fit_P_S(c, 0, (*D_S, *moved), lengths.state_predictor)
         source_policy = self.source_policy(P_S, D_S)
+        D_S, D_T, G, pi, labelled = self.see(D_S, D_T, P_S, source_policy, moved)
+        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled, moved)
+        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
+
+    def see(
+        self, D_S: tuple[Path, ...], D_T: tuple[Path, ...], P_S: StatePredictor,
+        source_policy: Callable[[], AsymmetricSAC], moved: Sequence[Path],
+    ) -> tuple[tuple[Path, ...], tuple[Path, ...], VisualTransformation, AsymmetricSAC, list[Path]]:  # fmt: skip
+        """Step 0 up to what reads the target's images; again from recordings cut where physics loses them."""
+        c, lengths = self.context, self.schedule.pretrain
+        D_S, D_T = as_cut(c, D_S), as_cut(c, D_T)
+        bare = c.worlds.source_domain, c.worlds.distribution
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
         pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy(), moved)
         self.repair.physical_effects(0, D_T, G, pi)
         labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
-        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled, moved)
-        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
+        if not cut_where_lost(c):
+            return D_S, D_T, G, pi, labelled
+        c.worlds.source_domain, c.worlds.distribution = bare  # what was found then was read through a G that failed
+        return self.see(D_S, D_T, P_S, source_policy, moved)
 
     def step(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> Grounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
@@ -183,7 +198,7 @@ class IterativeGrounding:
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""
-        steps, horizon = self.schedule.images, self.schedule.exploration_horizon
+        steps, horizon = self.schedule.images, cut_horizon(self.context) or self.schedule.exploration_horizon
         return record_source(self.context, k, self.explore, steps, name="control", horizon=horizon)
 
     def explore(self, seed: int, num_envs: int = 1) -> Policy:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 EARLY = 0.1
@@ -18,7 +18,7 @@ class TimeLeft:
     """
 
     def __init__(self, expected: Mapping[tuple[int, str], float]) -> None:
-        self._left = dict(expected)
+        self._left, self._costs = dict(expected), dict(expected)
         self._taken = self._expected = EARLY * sum(expected.values())
 
     def done(self, step: int, name: str, seconds: float | None) -> float:
@@ -28,6 +28,10 @@ class TimeLeft:
             self._taken += seconds
             self._expected += cost
         return sum(self._left.values()) * self._taken / max(self._expected, 1e-9)
+
+    def again(self, step: int, names: Collection[str]) -> None:
+        """Stages of a grounding step are done once more."""
+        self._left |= {key: cost for key, cost in self._costs.items() if key[0] == step and key[1] in names}
 
 
 def in_words(seconds: float) -> str:
@@ -93,7 +97,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.poses.spread:
         costs |= {"moved": 0.006 * config.poses.images * area, "moved_translated": 0.004 * config.poses.images * area}
     if config.labels.members:
-        costs |= {"reading_errors": 30.0, "labelled": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
+        costs |= {"reading_errors": 30.0, "lost": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
     if config.labels.replays:
         costs["estimator_replayed"] = costs["estimator"]

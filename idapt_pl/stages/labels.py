@@ -20,7 +20,9 @@ from idapt_pl.image_diagnosis.sensor import estimate_states
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
+from idapt_pl.stage import stage_seed
 from idapt_pl.stages.context import StageContext
+from idapt_pl.stages.cut_episodes import LOST, to_be_cut
 from idapt_pl.stages.encoder import translated
 from idapt_pl.stages.replay_agreement import warn_if_read_otherwise
 from idapt_pl.stages.replayed_labels import replayed_labels
@@ -112,14 +114,18 @@ def label_target(
         errors = smooth.forecast_errors(recordings, scale, seed)
         return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
 
-    def make(seed: int) -> Trajectories:
+    @functools.cache
+    def smoothed() -> tuple[Trajectories, list[Smoothed], Trajectories]:
         data, smooth, recordings, _ = corrected()
-        return labelled(data, smooth.supposing(factor)(recordings, seed), c.labels.lag)
+        found = smooth.supposing(factor)(recordings, stage_seed(c.stages.seed, step, "labelled"))
+        return data, found, labelled(data, found, c.labels.lag)
 
     told = c.stages.measure(step, "reading_offsets", offsets)["files"] if c.labels.offsets else ()
     found = [file["offset"] for file in told for _ in range(file["episodes"])]
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
-    return [c.stages.record(step, "labelled", make)[0]]
+    if not (c.stages.folder(step) / "labelled.h5").exists():  # runs of earlier versions have that alone
+        warn_of_losses(c, step, c.stages.measure(step, LOST, lambda seed: losses(*smoothed())))
+    return [c.stages.record(step, "labelled", lambda seed: smoothed()[-1])[0]]
 
 
 def offsets_of_files(
@@ -184,32 +190,40 @@ def recordings_of(
 
 
 def labelled(data: Trajectories, smoothed: Sequence[Smoothed], lag: int) -> Trajectories:
-    """Recordings with smoothed states, without what is near where it was lost; warns of much."""
+    """Recordings with smoothed states, without what is near where it was lost."""
     kept: list[Episode] = []
     for episode, found in zip(data, smoothed, strict=True):
         unsure = np.convolve(found.lost, np.ones(2 * lag + 1))[lag : lag + len(found.lost)] > 0.5
         states = {"state": found.states.astype(np.float32), "pixels": episode.observations["pixels"]}
         whole = Episode(episode.actions, states)
         kept += [sub_episode(whole, *run) for run in true_runs(~unsure)]
-    count, lost = sum(len(e) + 1 for e in kept), sum(int(s.lost.sum()) for s in smoothed)
-    log.info("%d of %d target frames labelled; the state was lost %d times", count, data.total_steps + len(data), lost)
-    if count < data.total_steps / 2:
-        log.warning(
-            "the source's physics and what is read of the target's images often disagree: look at translated.h5 and at "
-            "the effects found, as G or the source is off%s",
-            when_lost([s.lost for s in smoothed]),
-        )
     return replace(data, episodes=tuple(kept), source=f"{data.source}, states by smoothing")
 
 
-def when_lost(lost: Sequence[np.ndarray]) -> str:
-    """What to do where recordings, bool (T+1,) each, begin well and are lost on their way; else nothing."""
+def losses(data: Trajectories, smoothed: Sequence[Smoothed], kept: Trajectories) -> dict:
+    """How much of recordings was lost, as ``lost.json`` has it; from which control step on, where most begin well."""
+    frames, labels = (t.total_steps + len(t) for t in (data, kept))
+    times = sum(int(s.lost.sum()) for s in smoothed)
+    log.info("%d of %d target frames labelled; the state was lost %d times", labels, frames, times)
+    often = labels < frames / 2
+    return {"frames": frames, "labelled": labels, "from": lost_from([s.lost for s in smoothed]) if often else None}
+
+
+def lost_from(lost: Sequence[np.ndarray]) -> int | None:
+    """The control step from which on recordings, bool (T+1,) each, are lost if most are, and begin well; else None."""
     first = [int(np.argmax(steps)) for steps in lost if steps.any()]
     begin = int(np.median(first)) if first else 0
-    if len(first) < len(lost) / 2 or begin < STARTS_WELL:
-        return ""
-    return (
-        f". Most episodes begin well and are lost from about control step {begin} on: if the robot has fallen by then, "
-        "or left the picture (see target.h5), begin exploring episodes anew before, by "
-        f"schedule.exploration_horizon {begin}"
-    )
+    return None if len(first) < len(lost) / 2 or begin < STARTS_WELL else begin
+
+
+def warn_of_losses(c: StageContext, step: int, told: dict) -> None:
+    """Say what to look at where most frames were lost, and nothing is done about it."""
+    begin = told["from"]
+    if told["labelled"] >= told["frames"] / 2 or (begin is not None and to_be_cut(c, step)):
+        return
+    log.warning(
+        "the source's physics and what is read of the target's images often disagree: look at translated.h5 and at "
+        "the effects found, as G or the source is off%s",
+        "" if begin is None else f". Most episodes begin well and are lost from about control step {begin} on: look "
+        "there at target.h5, whether the robot has fallen or left the picture",
+    )  # fmt: skip
