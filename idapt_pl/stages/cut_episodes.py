@@ -23,11 +23,11 @@ log = logging.getLogger(__name__)
 
 CUT = "cut"
 """The stage that says after how many control steps."""
-LOST = "lost"
+WHERE_LOST = "lost"
 """The stage that says where recordings are lost (:mod:`idapt_pl.stages.labels`)."""
 MADE_AGAIN = (
     "replayed", "visual", "translated", "moved_translated", "estimator", "control", "effects", "known_start_search",
-    "reading_offsets", "reading_errors", "labelled", LOST,
+    "reading_offsets", "reading_errors", "labelled", WHERE_LOST,
 )  # fmt: skip
 """Stages of step 0 that learn from the recordings, the one that is asked whether to cut the last."""
 UNCUT = "uncut_"
@@ -65,9 +65,9 @@ def cut_where_lost(c: StageContext) -> bool:
     Then what was made of them is put aside, as ``uncut_<name>``. Returns whether it was cut.
     """
     folder = c.stages.folder(0)
-    if not to_be_cut(c, 0) or not (folder / f"{LOST}.json").exists():
+    if not to_be_cut(c, 0) or not (folder / f"{WHERE_LOST}.json").exists():
         return False
-    if (steps := c.stages.read(0, LOST)["from"]) is None:
+    if (steps := c.stages.read(0, WHERE_LOST)["from"]) is None:
         return False
     log.warning(
         "exploring episodes are cut after %d control steps, as most are lost from there on, and G is learned again: in "
@@ -84,7 +84,7 @@ def cut_where_lost(c: StageContext) -> bool:
 
 def put_aside(folder: Path) -> None:
     """Give what is to be made again other names; what has them already is left, so a killed process did no harm."""
-    if not (folder / f"{LOST}.json").exists() or (folder / f"{UNCUT}{LOST}.json").exists():
+    if not (folder / f"{WHERE_LOST}.json").exists() or (folder / f"{UNCUT}{WHERE_LOST}.json").exists():
         return
     for name in MADE_AGAIN:
         for path in (folder / f"{name}.h5", folder / name, folder / f"{name}.json"):

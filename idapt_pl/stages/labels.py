@@ -22,7 +22,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
 from idapt_pl.stage import stage_seed
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.cut_episodes import LOST, to_be_cut
+from idapt_pl.stages.cut_episodes import WHERE_LOST, to_be_cut
 from idapt_pl.stages.encoder import translated
 from idapt_pl.stages.replay_agreement import warn_if_read_otherwise
 from idapt_pl.stages.replayed_labels import replayed_labels
@@ -100,8 +100,7 @@ def label_target(
         return data, *smoother_of(c, data, known, sensor, F)
 
     def offsets(seed: int) -> dict:
-        _, smooth, recordings, scale = prepared()
-        return offsets_of_files(target, smooth, recordings, scale, paired_steps)
+        return offsets_of_files(target, *prepared()[1:], paired_steps)
 
     @functools.cache
     def corrected() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
@@ -124,7 +123,7 @@ def label_target(
     found = [file["offset"] for file in told for _ in range(file["episodes"])]
     factor = c.stages.measure(step, "reading_errors", factors)["factor"]
     if not (c.stages.folder(step) / "labelled.h5").exists():  # runs of earlier versions have that alone
-        warn_of_losses(c, step, c.stages.measure(step, LOST, lambda seed: losses(*smoothed())))
+        warn_of_losses(c, step, c.stages.measure(step, WHERE_LOST, lambda seed: losses(*smoothed())))
     return [c.stages.record(step, "labelled", lambda seed: smoothed()[-1])[0]]
 
 

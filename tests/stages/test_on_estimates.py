@@ -21,7 +21,7 @@ from idapt_pl.rl.policy import MUCH_LOST, Acting, deterministic, warn_if_lost
 from idapt_pl.rl.rehearsal import Rehearsal
 from idapt_pl.rl.returns import evaluate
 from idapt_pl.smoothing import Smoothed
-from idapt_pl.stages.labels import labelled, when_lost
+from idapt_pl.stages.labels import labelled, losses, warn_of_losses
 from idapt_pl.stages.on_estimates import errors_of_estimates, in_rehearsals, read_episodes, take_over
 from idapt_pl.stages.schedule import StageLengths
 
@@ -463,18 +463,19 @@ def test_target_frames_that_nothing_explains_get_no_label():
     assert len(nothing) == 0
 
 
-def lost_from(*steps):
-    return [np.arange(51) >= step for step in steps]
-
-
-def test_recordings_that_are_lost_on_their_way_say_when(caplog):
-    assert "control step 20 on" in when_lost(lost_from(18, 20, 23, 60))
-    assert "schedule.exploration_horizon 20" in when_lost(lost_from(18, 20, 23, 60))
-    assert when_lost(lost_from(20, 60, 60)) == "", "most are never lost"
-    assert when_lost(lost_from(1, 1, 30)) == "", "it is lost from the beginning, so it does not fall"
+@pytest.mark.parametrize("lost, said", [([20, 20], "control step 20 on"), ([1, 1], "is off")])
+def test_much_that_is_lost_is_said_where_nothing_is_done_about_it(lost, said, tmp_path, caplog):
     episode = Episode(np.zeros((50, 1), np.float32), {"pixels": np.zeros((51, 4, 4, 3), np.uint8)})
-    labelled(Trajectories((episode,), 0.1), [Smoothed(np.zeros((51, 2)), np.zeros((51, 2)), lost_from(20)[0])], 1)
-    assert "exploration_horizon 20" in caplog.text
+    data, states = Trajectories((episode, episode), 0.1), np.zeros((51, 2))
+    smoothed = [Smoothed(states, states, np.arange(51) >= step) for step in lost]
+    told = losses(data, smoothed, labelled(data, smoothed, 1))
+    assert told["frames"] == 102 and told["labelled"] == sum(lost) - 2
+    c = SimpleNamespace(stages=SimpleNamespace(folder=lambda step: tmp_path))
+    warn_of_losses(c, 1, told)
+    assert said in caplog.text
+    caplog.clear()
+    warn_of_losses(c, 0, told)  # in step 0 episodes that begin well are cut, and that is said
+    assert bool(caplog.text) == (told["from"] is None)
 
 
 def test_a_run_can_go_on_where_no_frame_got_a_label(tmp_path):
