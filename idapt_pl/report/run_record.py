@@ -14,7 +14,7 @@ from idapt_pl.files import read_json
 from idapt_pl.image_diagnosis import ImageDiagnosis
 from idapt_pl.run_folder.kept_config import read_kept_config
 from idapt_pl.run_folder.kept_warnings import WARNINGS, read_warnings
-from idapt_pl.run_folder.results import belongs
+from idapt_pl.run_folder.results import UNCUT, belongs
 
 ORDER = (
     "target",
@@ -47,7 +47,9 @@ ORDER = (
     "selection",
     "reading_offsets",
     "reading_errors",
+    "lost",
     "labelled",
+    "cut",
     "replay_labelled",
     "replay_agreement",
     "estimator_replayed",
@@ -270,6 +272,9 @@ def read_step_record(folder: Path, ledger: list[dict], files: RunFiles) -> StepR
 
 def stage_place(stage: str) -> tuple[int, int, int]:
     """Where a stage stands in Algorithm 1, for sorting; what is not of it (the oracle) comes last."""
+    uncut, whole = stage.startswith(UNCUT), stage.removeprefix(UNCUT).removesuffix("_cut")
+    if whole != stage:  # before exploring episodes were cut, or the cutting
+        return stage_place(whole)[0], -1 if uncut else 0, 1
     name = re.sub(r"_\d+$", "", stage)
     number = int(stage[len(name) + 1 :] or 1)  # one of several candidates, or rounds
     place = ORDER.index(name) if name in ORDER else len(ORDER)

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from idapt_pl.files import REDO, DamagedFile, read_json
 
+UNCUT = "uncut_"
+"""Before the names of what step 0 made of exploring episodes before they were cut (docs/decisions/078)."""
+
 
 def read_result(path: Path) -> dict:
     """Read the result of a stage.

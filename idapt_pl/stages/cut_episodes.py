@@ -17,6 +17,7 @@ from pathlib import Path
 
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.files import read_json, write_json
+from idapt_pl.run_folder.results import UNCUT
 from idapt_pl.stages.context import StageContext
 
 log = logging.getLogger(__name__)
@@ -30,8 +31,6 @@ MADE_AGAIN = (
     "reading_offsets", "reading_errors", "labelled", WHERE_LOST,
 )  # fmt: skip
 """Stages of step 0 that learn from the recordings, the one that is asked whether to cut the last."""
-UNCUT = "uncut_"
-"""Before their names once they are made again."""
 
 
 def cut_horizon(c: StageContext) -> int | None:

@@ -17,12 +17,16 @@ from datamodules.unpaired import read_all
 from idapt_pl.effects import Effect
 from idapt_pl.image_diagnosis.parabola import minimum_uncertainty, parabola_minimum
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
+from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.labels import known_starts, recordings_of
 from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
+
+ONE_BY_ONE = SideBySide(1)
+"""Where a call makes use of all threads itself."""
 
 SECONDS, STEPS_LEAST, STEPS_MOST = 0.5, 8, 40
 """How long recordings are followed from their start, within bounds in control steps.
@@ -169,7 +173,9 @@ def position_components(task: Task, state: np.ndarray) -> list[int]:
     return [i for i, qpos in enumerate(moved) if not np.allclose(qpos, at, atol=1e-9)]
 
 
-def refine_parameters(effects: Sequence[Effect], misfit: Misfits) -> tuple[list[Effect], list[Refined]]:
+def refine_parameters(
+    effects: Sequence[Effect], misfit: Misfits, side_by_side: SideBySide = ONE_BY_ONE
+) -> tuple[list[Effect], list[Refined]]:
     """One parameter after the other is put where a parabola through the misfits at five values of it is lowest."""
     now, how = list(effects), []
     for i, name in scalars(effects):
@@ -177,7 +183,7 @@ def refine_parameters(effects: Sequence[Effect], misfit: Misfits) -> tuple[list[
         for stride in STRIDES:
             x = stride * np.arange(-2, 3)
             tried = [scaled(now[i], name, float(np.exp(u))) for u in x]
-            scores = np.array([misfit([*now[:i], e, *now[i + 1 :]]) for e in tried])
+            scores = np.array(side_by_side.map(misfit, [[*now[:i], e, *now[i + 1 :]] for e in tried]))
             x = np.log([getattr(e, name) / getattr(now[i], name) for e in tried])  # some are at a bound
             best, _ = parabola_minimum(x, scores.mean(1))
             spread = minimum_uncertainty(x, scores) if len(scores[0]) > 1 else None

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from datamodules.unpaired import read_all
 from idapt_pl.diagnosis.candidates.listing import all_candidates, typical_sizes
@@ -26,6 +27,7 @@ from idapt_pl.image_diagnosis.forecasts import FORECAST_STEPS
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import AsymmetricSAC, VisualTransformation
 from idapt_pl.prediction.data import Recording
+from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.smoothing import ReadRecording
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.known_start_search import JUDGED, TOLD, KnownStartSearch, gain_of
@@ -37,6 +39,8 @@ log = logging.getLogger(__name__)
 
 REPLAYED = 40
 """Recordings that are replayed, and control steps of each at most."""
+SCREENED_BY = 12
+"""Of these, as many at least as all candidates are tried with first; those that did best are judged by all."""
 SIZED = 8
 """Recordings whose actions are played in the source to see how fast and how far things move."""
 FARTHER = (3, 10)
@@ -74,6 +78,10 @@ class Replays:
                 for r, s, n in zip(self.recordings, simulated, lasted, strict=True)
             ]
         )
+
+    def few(self) -> Replays:
+        """Of every so many recordings, as candidates are tried with."""
+        return replace(self, recordings=self.recordings[:: max(1, len(self.recordings) // SCREENED_BY)])
 
     def simulated(self, effects: Sequence[Effect] = ()) -> tuple[np.ndarray, np.ndarray]:
         """How many steps each replay lasted, (n,), and what was shown after each of them, (n, T, c)."""
@@ -124,13 +132,14 @@ def effects_from_replays(
         moved = played_in_source(task, domain, of_target.recordings[:SIZED])
         sizes = typical_sizes(domain.compile(), moved, FORECAST_STEPS * seen.dt)
         every = choose_candidates(all_candidates(domain.spec(), sizes), settings.candidates)
-        return search_by_replays(of_one_parameter(every), of_target, of_control, settings.max_effects).to_dict()
+        sought = of_one_parameter(every), of_target, of_control, settings.max_effects
+        return search_by_replays(*sought, SideBySide(torch.get_num_threads())).to_dict()
 
     return c.stages.measure(step, "known_start_search", make)["effects"]
 
 
 def search_by_replays(
-    candidates: Sequence[Candidate], of_target: Misfits, of_control: Misfits, most: int
+    candidates: Sequence[Candidate], of_target: Replays, of_control: Replays, most: int, side_by_side: SideBySide
 ) -> KnownStartSearch:
     """Effects, one after the other, with each of which replays of the target are surely closer, and the control's not.
 
@@ -139,6 +148,7 @@ def search_by_replays(
         of_target: replays of the target's actions.
         of_control: of the source's own, seen through G.
         most: effects that are taken.
+        side_by_side: replays with one set of effects are a thread's; what is found does not depend on it.
     """
     without = of_target([])
     now: list[Effect] = []
@@ -146,13 +156,15 @@ def search_by_replays(
     told: tuple[tuple[str, float, float], ...] = ()
     misfit, gain = without, (0.0, 0.0, 0.0)
     for _ in range(most):
-        tried = signed_screening(candidates, now, of_target)
+        tried = signed_screening(candidates, now, of_target.few(), side_by_side)
         told = told or tuple((c.label, x, error) for c, x, error in tried[:TOLD])
-        rivals = [refine_parameters([*now, c.effect([x])], of_target) for c, x, _ in tried[:JUDGED]]
-        if not rivals:
+        begun = [[*now, c.effect([x])] for c, x, _ in tried[:JUDGED]]
+        if not begun:
             break
-        scored = [(of_target(effects), (effects, refined)) for effects, refined in rivals]
-        its_misfit, (effects, refined) = min(scored, key=lambda s: s[0].mean())
+        its_misfit, (effects, refined) = min(
+            ((of_target(rival[0]), rival) for rival in (refine_parameters(e, of_target, side_by_side) for e in begun)),
+            key=lambda scored: scored[0].mean(),
+        )
         its_gain, clear = gain_of(effects[-1:], misfit, its_misfit, of_control)
         if not clear:
             if not now:
@@ -165,17 +177,24 @@ def search_by_replays(
 
 
 def signed_screening(
-    candidates: Sequence[Candidate], now: Sequence[Effect], misfit: Misfits
+    candidates: Sequence[Candidate], now: Sequence[Effect], misfit: Misfits, side_by_side: SideBySide
 ) -> list[tuple[Candidate, float, float]]:
     """Candidates beside the effects so far, each with the value that fits best and the error then, the best first."""
-    least, best = mean_error(misfit(now)), []
-    for c in candidates:
-        (low,), (high,) = c.bounds()
-        ahead = [*first_values(c), *(x for (x,) in c.starts), *(f * c.scale[0] for f in FARTHER)]
-        values = sorted({sign * x for x in ahead for sign in (1, -1) if low < sign * x <= high})
-        tried = [(mean_error(misfit([*now, c.effect([x])])), x) for x in values]
-        best += [(c, x, error) for error, x in sorted(tried)[:1] if error < least]
-    return sorted(best, key=lambda found: found[2])
+    every = [(k, x) for k, c in enumerate(candidates) for x in values_tried(c)]
+    effects = [list(now), *([*now, candidates[k].effect([x])] for k, x in every)]
+    least, *errors = side_by_side.map(lambda e: mean_error(misfit(e)), effects)
+    best: dict[int, tuple[float, float]] = {}
+    for (k, x), error in zip(every, errors, strict=True):
+        best[k] = min(best.get(k, (least, 0.0)), (error, x))
+    better = [(candidates[k], x, error) for k, (error, x) in best.items() if error < least]
+    return sorted(better, key=lambda found: found[2])
+
+
+def values_tried(c: Candidate) -> list[float]:
+    """Of a candidate's parameter, in both directions as far as it goes in both."""
+    (low,), (high,) = c.bounds()
+    ahead = [*first_values(c), *(x for (x,) in c.starts), *(f * c.scale[0] for f in FARTHER)]
+    return sorted({sign * x for x in ahead for sign in (1, -1) if low < sign * x <= high})
 
 
 def known_components(starts: np.ndarray, states: np.ndarray) -> tuple[list[int], np.ndarray]:

@@ -89,6 +89,7 @@ def test_the_record_of_a_run_has_both_trainings_with_their_times(cut):
     stages = {name: json.loads((cut / f"step_00/{name}/stage.json").read_text()) for name in ("visual", "uncut_visual")}
     for name, told in stages.items():
         assert told["stage"] == name and seconds[name] == told["wall_s"]
+    assert list(seconds).index("uncut_visual") + 1 == list(seconds).index("visual")
     assert {"cut", "lost", "uncut_lost", "known_start_search", "uncut_known_start_search"} <= set(seconds)
 
 

@@ -1,10 +1,13 @@
 """Effects named by replays from known starts, where states tell no positions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.smoothing import ReadRecording
 from idapt_pl.stages.replay_search import (
     Replays,
@@ -12,6 +15,7 @@ from idapt_pl.stages.replay_search import (
     of_one_length,
     played_in_source,
     search_by_replays,
+    signed_screening,
 )
 from idapt_pl.tasks import make_task
 
@@ -48,7 +52,7 @@ def read_of(task, effects, seed, known=None):
 @pytest.mark.slow
 def test_turned_and_biased_commands_are_named_with_their_values(fetch):
     hidden = [ActuatorRotation("x y", 0.6), ActuatorBias("z", -0.4)]
-    found = search_by_replays(CANDIDATES, read_of(fetch, hidden, 0), read_of(fetch, [], 1), most=3)
+    found = search_by_replays(CANDIDATES, read_of(fetch, hidden, 0), read_of(fetch, [], 1), 3, SideBySide(2))
     assert found.accepted
     named = {(e.name, e.target): e for e in found.best[0]}
     assert set(named) == {("actuator_rotation", "x y"), ("actuator_bias", "z")}
@@ -60,8 +64,25 @@ def test_turned_and_biased_commands_are_named_with_their_values(fetch):
 
 
 def test_where_nothing_is_missing_nothing_is_added(fetch):
-    found = search_by_replays(CANDIDATES, read_of(fetch, [], 2), read_of(fetch, [], 3), most=3)
+    found = search_by_replays(CANDIDATES, read_of(fetch, [], 2), read_of(fetch, [], 3), 3, SideBySide(2))
     assert not found.accepted and found.to_dict()["effects"] == []
+
+
+def test_candidates_are_screened_alike_whatever_the_number_of_threads(fetch):
+    read = read_of(fetch, [ActuatorBias("z", -0.4)], 5)
+    alone, beside = (signed_screening(CANDIDATES, [], read, SideBySide(n)) for n in (1, 3))
+    assert [(c.label, x, e) for c, x, e in alone] == [(c.label, x, e) for c, x, e in beside]
+    assert alone[0][0].target == "z" and alone[0][1] < 0
+    errors = {c.target: error for c, _, error in alone}
+    assert errors["z"] == min(errors.values()) < np.exp(read([]).mean())
+
+
+def test_screening_takes_some_recordings_from_beginning_to_end(fetch):
+    read = replace(read_of(fetch, [], 4), recordings=list(range(40)))
+    assert read.few().recordings == list(range(0, 40, 3)) and replace(read, recordings=[1, 2]).few().recordings == [
+        1,
+        2,
+    ]
 
 
 def test_what_is_known_where_episodes_begin_is_what_hardly_varies_there():
