@@ -203,7 +203,8 @@ class IterativeGrounding:
 
     def explore(self, seed: int, num_envs: int = 1) -> Policy:
         """The policy that collects D^S and D^T before there is one for the target."""
-        return explorer(self.context, self.schedule.exploration or "random", seed, num_envs)
+        s = self.schedule
+        return explorer(self.context, s.exploration or "random", seed, num_envs, s.exploration_strays)
 
     def recent(self, data: tuple[Path, ...]) -> tuple[Path, ...]:
         """The data that a grounding step trains P^S and G on."""

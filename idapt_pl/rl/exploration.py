@@ -12,6 +12,7 @@ from gymnasium.vector import VectorEnv
 from idapt_pl.envs import VectorImageEnv
 from idapt_pl.modules import StateSAC
 from idapt_pl.rl.policy import Policy, tick
+from idapt_pl.rl.strays import Strays
 
 
 def _bounds(env: VectorEnv) -> tuple[np.ndarray, np.ndarray]:
@@ -143,11 +144,14 @@ class OpenLoopReplay:
         teacher: sees states; its actions are drawn, as in its training.
         env: the source, with states, one simulation for each that is acted in.
         seed: of its resets.
+        strays: share of the steps in which random actions are played in place of the teacher's, which then sees the
+            way back. One gait alone is a curve through all poses, and a translation that takes the source's curve
+            to the target's need not keep any pose.
     """
 
-    def __init__(self, teacher: StateSAC, env: VectorEnv, seed: int) -> None:
-        self.teacher, self.env = teacher, env
-        self._actions = teacher.act(env.reset(seed=seed)[0]["state"])
+    def __init__(self, teacher: StateSAC, env: VectorEnv, seed: int, strays: float = 0.0) -> None:
+        self.teacher, self.env, self._strayed = teacher, env, Strays(env, strays, seed)
+        self._actions = self._strayed(teacher.act(env.reset(seed=seed)[0]["state"]))
 
     def __call__(self, pixels: np.ndarray) -> np.ndarray:
         """Actions (n, nu) for now, whatever there is to see."""
@@ -158,4 +162,4 @@ class OpenLoopReplay:
         obs = self.env.step(self._actions)[0]
         if ended.any():
             obs = self.env.reset(options={"reset_mask": ended})[0]
-        self._actions = self.teacher.act(obs["state"])
+        self._actions = self._strayed(self.teacher.act(obs["state"]))

@@ -29,12 +29,13 @@ MakePolicy = Callable[[int], Policy]
 """Seed to policy."""
 
 
-def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1) -> Policy:
+def explorer(c: StageContext, exploration: str, seed: int, num_envs: int = 1, strays: float = 0.0) -> Policy:
     """The policy that collects D^S and D^T before there is one for the target, by its name in ``schedule``."""
     if exploration == "rehearse":
         teacher = source_teacher(c)
         torch.manual_seed(seed)  # whether it was trained or loaded just now must make no difference
-        return OpenLoopReplay(teacher, VectorStateEnv(c.worlds.task, c.worlds.first_source, num_envs), seed)
+        alongside = VectorStateEnv(c.worlds.task, c.worlds.first_source, num_envs)
+        return OpenLoopReplay(teacher, alongside, seed, strays)
     kinds = exploration.split("+")
     experts = {kind: expert_of(c, kind) for kind in kinds if kind in EXPERTS}
     if experts:

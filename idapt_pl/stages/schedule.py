@@ -117,6 +117,8 @@ class Schedule:
             way, as if a person were at the controls); or several joined by ``+``, which share the steps evenly.
         exploration_horizon: control steps after which an exploring episode is begun anew, in target and source; None
             for the task's own. What falls early in an episode shows nothing new for the rest of it.
+        exploration_strays: share of the control steps in which ``rehearse`` plays random actions, held for some steps
+            each, in place of the teacher's.
         interactions: control steps taken in the target in each grounding step.
         source_policy: environment steps in the plain source, for the policy everything starts from; it is
             also the reference for direct transfer.
@@ -143,6 +145,7 @@ class Schedule:
     source_images: int | None = None
     exploration: Exploration | None = "random"
     exploration_horizon: int | None = None
+    exploration_strays: float = 0.0
     interactions: int = 1000
     source_policy: int | None = 10_000
     paired_steps: int = 0
@@ -162,7 +165,11 @@ class Schedule:
             "paired_steps": COUNT_OR_NONE,
             "source_policy": COUNT_OR_NONE,
         }
-        once |= {"grounding_steps": Range(0, 99), "exploration_horizon": Range(2, 1e6)}
+        once |= {
+            "grounding_steps": Range(0, 99),
+            "exploration_horizon": Range(2, 1e6),
+            "exploration_strays": Range(0, 0.9),
+        }
         check_ranges("schedule", vars(self), once)
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
