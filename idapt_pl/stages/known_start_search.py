@@ -32,8 +32,13 @@ from idapt_pl.stages.refinement import (
 
 log = logging.getLogger(__name__)
 
-RECORDINGS_JUDGED, MEMBERS_JUDGED = 60, 16
+RECORDINGS_CHOSEN_BY, MEMBERS_JUDGED = 60, 16
 """Recordings, and simulations that follow each. Many short ones tell most: from each start the robot is known anew."""
+RECORDINGS_FRESH, FRESH_LEAST = 60, 20
+"""Further recordings, and how many at least, that what was chosen is judged by if there are some: nothing about them
+was chosen, so a gain need not make up for being the best of many ..."""
+FRESH_GAIN_SHARE = GAIN_SHARE / 2
+"""... and half as much is enough, as long as it is as sure."""
 RECORDINGS_GLANCED, RECORDINGS_TRIED = 3, 12
 """With which all candidates are tried first, and then those that did best."""
 STAYING, STAYING_LEAST = 0.25, 8
@@ -100,7 +105,7 @@ def effects_from_known_starts(
     def make(seed: int) -> dict:
         source = c.worlds.source_domain
         candidates = forecast_candidates(source, read_calibrated(sensor, source, target, [control], G), settings)
-        sizes = RECORDINGS_JUDGED, MEMBERS_JUDGED
+        sizes = RECORDINGS_CHOSEN_BY + RECORDINGS_FRESH, MEMBERS_JUDGED
         forecasts = known_start_forecasts(c, target, control, G, pi, seed, *sizes, paired_steps)
         return search_from_known_starts(candidates, *forecasts).to_dict()
 
@@ -113,35 +118,35 @@ def search_from_known_starts(
     """The effect with which the target's first frames are forecast best.
 
     It must be worth what an effect judged by forecasts must (:mod:`~idapt_pl.image_diagnosis.forecast_search`; a tenth
-    of the errors is about 0.1 nats), and more than twice as much as in the control, where nothing is missing: what
-    helps there too makes up for the sensor.
+    of the errors is about 0.1 nats, and half of that is enough in recordings that it was not chosen by), and more than
+    twice as much as in the control, where nothing is missing: what helps there too makes up for the sensor.
 
     Args:
         candidates: effects of one parameter.
         of_target: forecasts of the target.
         of_control: of the source itself, seen through G.
     """
-    tried = screened(candidates, of_target)
+    chosen_by, fresh = of_target.first(RECORDINGS_CHOSEN_BY), of_target.beyond(RECORDINGS_CHOSEN_BY)
+    tried = screened(candidates, chosen_by)
     told = tuple((c.label, x, error) for c, x, error in tried[:TOLD])
-    without = of_target([])
-    before = mean_error(without)
-    few = of_target.first(RECORDINGS_TRIED)
+    few = chosen_by.first(RECORDINGS_TRIED)
     rivals = [refine_parameters([c.effect([x])], few)[0] for c, x, _ in tried[:JUDGED]]
-    best = refine_parameters(min(rivals, key=lambda rival: of_target(rival).mean(), default=[]), of_target)
-    misfit = of_target(best[0])
-    gain, clear = gain_of(best[0], without, misfit, of_control)
-    return KnownStartSearch(best, clear, before, mean_error(misfit), gain, told)
+    best = refine_parameters(min(rivals, key=lambda rival: chosen_by(rival).mean(), default=[]), chosen_by)
+    judged_by, share = (fresh, FRESH_GAIN_SHARE) if len(fresh.recordings) >= FRESH_LEAST else (chosen_by, GAIN_SHARE)
+    without, misfit = judged_by([]), judged_by(best[0])
+    gain, clear = gain_of(best[0], without, misfit, of_control, share)
+    return KnownStartSearch(best, clear, mean_error(without), mean_error(misfit), gain, told)
 
 
 def gain_of(
-    effects: Sequence[Effect], without: np.ndarray, misfit: np.ndarray, of_control: Misfits
+    effects: Sequence[Effect], without: np.ndarray, misfit: np.ndarray, of_control: Misfits, share: float = GAIN_SHARE
 ) -> tuple[tuple[float, float, float], bool]:
-    """What effects gain, its standard error, the control's gain, nats; whether that is enough."""
+    """What effects gain, its standard error, the control's gain, nats; whether it is ``share`` at least, and sure."""
     if not effects:
         return (0.0, 0.0, 0.0), False
     gain, spread = paired_gain(without, misfit, np.arange(len(without)))
     in_control = float(of_control([]).mean() - of_control(effects).mean())
-    least = max(STANDARD_ERRORS * spread, GAIN_SHARE, 2 * in_control)
+    least = max(STANDARD_ERRORS * spread, share, 2 * in_control)
     log.info(
         "from known starts %s forecasts %s better than nothing, and the control %.2g",
         labels_of(effects), nats(gain, spread), in_control,

@@ -97,6 +97,10 @@ class KnownStartForecasts:
         """Of so many recordings."""
         return replace(self, recordings=self.recordings[:recordings])
 
+    def beyond(self, recordings: int) -> KnownStartForecasts:
+        """Of those after so many."""
+        return replace(self, recordings=self.recordings[recordings:])
+
 
 def known_start_forecasts(
     c: StageContext, target: Sequence[Path], control: Path, G: VisualTransformation, pi: AsymmetricSAC, seed: int,

@@ -130,6 +130,42 @@ def test_all_candidates_are_glanced_at_and_the_best_are_tried_on_more_recordings
     assert {n for n, _ in asked} == {RECORDINGS_GLANCED, RECORDINGS_TRIED}
 
 
+class OfTwoKinds:
+    """Forecasts of 60 recordings, by which an effect is chosen, and some others, with what any effect gains in each."""
+
+    def __init__(self, gains):
+        self.recordings, self.gains = range(len(gains)), np.asarray(gains, float)
+
+    def first(self, recordings):
+        return OfTwoKinds(self.gains[:recordings])
+
+    def beyond(self, recordings):
+        return OfTwoKinds(self.gains[recordings:])
+
+    def __call__(self, effects):
+        noise = np.random.default_rng(len(self.gains)).normal(0, 1e-3, len(self.gains))
+        return -1 - (self.gains + noise if effects else np.zeros(len(noise)))
+
+
+@pytest.mark.parametrize(
+    "gain, others, found",
+    [
+        (0.2, [0.0] * 60, False),  # it was the best of many by chance
+        (0.07, [0.07] * 60, True),  # little, and sure
+        (0.07, [0.04] * 60, False),
+        (0.07, [0.35, -0.21] * 30, False),  # not sure
+        (0.07, [0.07] * 10, False),  # too few to tell, so all that is known is what it was chosen by
+        (0.15, [0.07] * 10, True),
+    ],
+)
+def test_an_effect_is_judged_by_recordings_that_it_was_not_chosen_by(gain, others, found):
+    of_target = OfTwoKinds([gain] * 60 + others)
+    searched = search_from_known_starts(CANDIDATES[:1], of_target, OfTwoKinds([-0.5] * 30))
+    assert searched.accepted is found
+    judged = others if len(others) > 20 else [gain]
+    assert searched.gain[0] == pytest.approx(np.mean(judged), abs=0.01)
+
+
 @pytest.mark.slow
 def test_what_helps_in_the_control_too_makes_up_for_the_sensor(errors):
     assert search_from_known_starts(CANDIDATES, errors, errors).to_dict()["effects"] == []
