@@ -171,6 +171,11 @@ class Schedule:
             "exploration_strays": Range(0, 0.9),
         }
         check_ranges("schedule", vars(self), once)
+        if self.exploration_strays and self.exploration != "rehearse":
+            raise ValueError(
+                f"schedule.exploration_strays is {self.exploration_strays}, but they are among the actions of "
+                f"exploration: rehearse, and it is {self.exploration}: give rehearse, or no strays"
+            )
         for part in ("pretrain", "finetune"):
             lengths = vars(getattr(self, part))
             check_ranges(f"schedule.{part}", lengths, dict.fromkeys(lengths, COUNT_OR_NONE))

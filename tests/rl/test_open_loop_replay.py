@@ -24,10 +24,10 @@ def teacher():
     return policy
 
 
-def played_by(teacher, cart, n, ends, seed=1):
+def played_by(teacher, cart, n, ends, seed=1, strays=0.0):
     """Actions (steps, n, 1) of a rehearsal that is told of these ends, (steps, n)."""
     torch.manual_seed(seed)
-    act, actions = OpenLoopReplay(teacher, VectorStateEnv(cart, cart.domain("source"), n), seed), []
+    act, actions = OpenLoopReplay(teacher, VectorStateEnv(cart, cart.domain("source"), n), seed, strays), []
     for ended in ends:
         actions.append(act(np.zeros(n)))
         act.tick(ended)
@@ -67,6 +67,17 @@ def test_episodes_of_the_robot_and_of_the_rehearsal_begin_together(cart, teacher
     starts = np.cumsum([0, *map(len, episodes.episodes)])[:-1]
     assert len(starts) > 1
     assert all(seen[i][1] == 0 and abs(seen[i][0]) <= 0.1 for i in starts), "at rest where episodes start"
+
+
+def test_strays_are_played_in_both_worlds_and_the_teacher_sees_where_they_lead(cart, teacher, monkeypatch):
+    seen, ends = [], np.zeros((400, 2), bool)
+    monkeypatch.setattr(teacher, "act", lambda states: seen.append(states.copy()) or np.zeros((2, 1), np.float32))
+    played = played_by(teacher, cart, 2, ends, strays=0.3)
+    assert 0.15 < (played != 0).mean() < 0.45 and np.abs(played).max() <= 100
+    speeds = np.array(seen)[:, :, 1]
+    assert np.abs(speeds).max() > 0.1, "a teacher that does nothing is moved by them"
+    np.testing.assert_array_equal(played, played_by(teacher, cart, 2, ends, strays=0.3))
+    assert (played_by(teacher, cart, 2, ends) == 0).all()
 
 
 @pytest.mark.parametrize("kind", ["images", "states"])
@@ -124,6 +135,12 @@ def test_a_run_that_lost_its_exploration_repeats_it_bitwise(rehearsed_run):
     assert main(["fit", *args]) == 0
     for a, b in zip(before, read_trajectories(path), strict=True):
         np.testing.assert_array_equal(a, b.actions)
+
+
+def test_strays_are_refused_where_nothing_is_played_open_loop(tmp_path, tiny_args, capsys):
+    options = {"schedule__exploration": "babble", "schedule__exploration_strays": 0.3}
+    assert main(["fit", *tiny_args(tmp_path / "run", **options)]) != 0
+    assert "schedule.exploration_strays is 0.3" in capsys.readouterr().err
 
 
 def test_without_a_teacher_there_is_nothing_to_rehearse(tmp_path, tiny_args, capsys):

@@ -415,7 +415,7 @@ def test_an_explorers_teacher_acts_in_the_source_with_its_known_effects_and_with
     worlds.add_effects([known])
     worlds.add_effects([found])
     monkeypatch.setattr("idapt_pl.stages.collection.VectorStateEnv", lambda task, domain, n: acted.append(domain))
-    monkeypatch.setattr("idapt_pl.stages.collection.OpenLoopReplay", lambda teacher, env, seed: None)
+    monkeypatch.setattr("idapt_pl.stages.collection.OpenLoopReplay", lambda teacher, env, seed, strays: None)
     context = SimpleNamespace(worlds=worlds, teacher=SimpleNamespace(of_the_source=lambda build: None), new_policy=None)
     explorer(context, "rehearse", 0)
     assert [domain.effects[len(source.effects) :] for domain in acted] == [(known,)]
