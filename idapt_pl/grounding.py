@@ -18,6 +18,7 @@ from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.cut_episodes import as_cut, cut_horizon, cut_where_lost
 from idapt_pl.stages.dynamics import fit_F
 from idapt_pl.stages.encoder import fit_encoder
+from idapt_pl.stages.episode_lengths import warn_if_ended_sooner
 from idapt_pl.stages.labels import labelled_images
 from idapt_pl.stages.moved_poses import moved_poses
 from idapt_pl.stages.policy import fit_grounded_policy, fit_source_policy
@@ -127,6 +128,7 @@ class IterativeGrounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths = self.context, self.schedule.finetune
         D_S = (*g.D_S, record_source(c, k, on_policy(c, g.pi), self.schedule.interactions, g.G, g.F))
+        warn_if_ended_sooner(k, D_S[-1], D_T[-1])
         moved = moved_poses(c, k, self.recent(D_S))
         P_S = fit_P_S(c, k, (*self.recent(D_S), *moved), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)
