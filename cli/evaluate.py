@@ -23,7 +23,7 @@ from idapt_pl.run import Run
 from idapt_pl.run_folder.interactions import EVALUATED_BY_HAND, later_entries, later_outcome_entries, later_outcomes
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.run_folder.results import step_of
-from idapt_pl.stages.labels import smoother_of
+from idapt_pl.stages.labels import reading_errors, smoother_of
 from idapt_pl.stages.schedule import length_of
 
 
@@ -210,10 +210,11 @@ def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysi
     """A grounding step's policy on states by physics. Its step's recordings say how wrong readings are."""
     folder, policy = checkpoint.parent.parent, run.load_policy(checkpoint)
     target, known = read_all([folder / "target.h5"]), folder / "translated.h5"
-    smooth, recordings, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
+    smooth, _, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
     smooth = replace(smooth, members=members)
-    errors = smooth.forecast_errors(recordings, scale, seed=0)
-    return ActingByPhysics(policy, smooth.supposing(min(errors, key=errors.__getitem__)))
+    G = run.load_visual(folder / "visual/final.ckpt")
+    factor = reading_errors(run.context, smooth, policy.actor.encoder, G, scale, seed=0)["factor"]
+    return ActingByPhysics(policy, smooth.supposing(factor))
 
 
 def finished_policies(run: Run) -> list[tuple[str, Path]]:

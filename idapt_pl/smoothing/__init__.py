@@ -3,7 +3,12 @@
 from idapt_pl.smoothing.ensemble import SimulatedEnsemble
 from idapt_pl.smoothing.fixed_lag import EnsembleFilter, ReadingModel, Smoothed, smooth_episode
 from idapt_pl.smoothing.offsets import reading_offsets
-from idapt_pl.smoothing.recordings import ReadRecording, RecordingSmoother, reading_model
+from idapt_pl.smoothing.recordings import (
+    ReadRecording,
+    RecordingSmoother,
+    most_that_is_bearable,
+    reading_model,
+)
 
 __all__ = [
     "EnsembleFilter",
@@ -12,6 +17,7 @@ __all__ = [
     "RecordingSmoother",
     "SimulatedEnsemble",
     "Smoothed",
+    "most_that_is_bearable",
     "reading_model",
     "reading_offsets",
     "smooth_episode",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +24,8 @@ from idapt_pl.tasks import Task
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 """How many times as wrong as on source frames readings of the target may be."""
 
-TRIED_RECORDINGS, TRIED_STEPS = 2, 200
-"""Recordings, and control steps of each, on which the factors are compared; of shorter recordings as many more."""
+BEARABLE = 1.2
+"""Times the least error of states that are known, which a larger factor may cost."""
 
 
 @dataclass(frozen=True)
@@ -102,25 +102,32 @@ class RecordingSmoother:
         """With readings that are so many times as wrong."""
         return replace(self, expected=self.expected.times(factor))
 
-    def forecast_errors(self, recordings: Sequence[ReadRecording], scale: np.ndarray, seed: int) -> dict[float, float]:
-        """Mean error of forecast readings, in units of ``scale`` (s,), for each of :data:`FACTORS` of their error.
+    def state_errors(
+        self, recordings: Sequence[ReadRecording], states: Sequence[np.ndarray], scale: np.ndarray, seed: int
+    ) -> dict[float, float]:
+        """How wrong smoothed states are where they are known, for each of :data:`FACTORS` of the readings' error.
 
-        The factor with the least is the best one. A sensor is more wrong on real images than on those that it learned
-        from, and no state says by how much. But the better an ensemble weighs readings against the model, the better
-        what it knows after one reading tells the next.
+        Args:
+            recordings: of this smoother's domain.
+            states: the true ones (T+1, s) of each.
+            scale: units of the errors, (s,).
+            seed: of the ensembles.
+
+        Returns:
+            Factors to mean absolute errors.
         """
-        tried, errors = last_of(recordings, TRIED_RECORDINGS, TRIED_STEPS), {}
+        errors = {}
         for factor in FACTORS:
-            made = replace(self.supposing(factor), lag=0)(tried, seed)
-            errors[factor] = float(np.concatenate([np.abs(s.surprise[1:]) / scale for s in made]).mean())
+            made = self.supposing(factor)(recordings, seed)
+            wrong = [np.abs(m.states - known) / scale for m, known in zip(made, states, strict=True)]
+            errors[factor] = float(np.concatenate(wrong).mean())
         return errors
 
 
-def last_of(recordings: Sequence[ReadRecording], count: int, steps: int) -> list[ReadRecording]:
-    """The first ``steps`` control steps of the last ``count`` recordings, and of more before if these are shorter."""
-    tried: list[ReadRecording] = []
-    for recording in reversed(recordings):
-        if sum(map(len, tried)) >= count * steps:
-            break
-        tried.insert(0, recording.first(steps))
-    return tried
+def most_that_is_bearable(errors: Mapping[float, float]) -> float:
+    """The largest factor whose states are hardly worse than the best, of :meth:`RecordingSmoother.state_errors`.
+
+    Readings of the target's own images are worse than those of images whose states are known, and wrong for longer: a
+    smoother that is told so leans on what is known of the start, and no longer.
+    """
+    return max(factor for factor, error in errors.items() if error <= BEARABLE * min(errors.values()))

@@ -19,7 +19,14 @@ from idapt_pl.image_diagnosis.calibration import sub_episode, true_runs
 from idapt_pl.image_diagnosis.sensor import estimate_states
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, VisualTransformation
 from idapt_pl.nets.encoder import PixelStatePredictor
-from idapt_pl.smoothing import ReadRecording, RecordingSmoother, Smoothed, reading_model, reading_offsets
+from idapt_pl.smoothing import (
+    ReadRecording,
+    RecordingSmoother,
+    Smoothed,
+    most_that_is_bearable,
+    reading_model,
+    reading_offsets,
+)
 from idapt_pl.stage import stage_seed
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.cut_episodes import WHERE_LOST, to_be_cut
@@ -32,6 +39,9 @@ log = logging.getLogger(__name__)
 
 STARTS = 32
 """Of the source, which stand for those of the target."""
+
+KNOWN_STEPS, KNOWN_STEPS_EACH = 400, 200
+"""Control steps, and of each episode, of images whose states are known, by which the weight of readings is chosen."""
 
 STARTS_WELL = 5
 """Control steps, at least, in which half of the recordings are not lost, where they are said to begin well."""
@@ -62,7 +72,7 @@ def labelled_images(
             warn_if_read_otherwise(c, step, path, pi)
         return [translated(c, step, source, G), *told] if told else []
     known = translated(c, step, source, G)
-    return [known, *label_target(c, step, target, known, pi.estimator(G), F, paired_steps)]
+    return [known, *label_target(c, step, target, known, G, F, pi, paired_steps)]
 
 
 def label_target(
@@ -70,8 +80,9 @@ def label_target(
     step: int,
     target: Sequence[Path],
     known: Path,
-    sensor: PixelStatePredictor,
-    F: ActionTransformation | None = None,
+    G: VisualTransformation,
+    F: ActionTransformation | None,
+    pi: AsymmetricSAC,
     paired_steps: int = 0,
 ) -> list[Path]:
     """``labelled.h5``: the target's recordings with the states that readings and physics agree on; none if it is off.
@@ -85,13 +96,15 @@ def label_target(
         step: grounding step.
         target: trajectory files, of which images and actions are used.
         known: trajectory file with target-like images whose states are known; says how wrong readings are at least.
-        sensor: reads target images.
+        G: shows source images as target images.
         F: what the source plays for an action of the target; None is the identity.
+        pi: its encoder reads target images.
         paired_steps: control steps from where episodes begin that G learned as pairs: there the sensor reads what the
             source would do, so no offset is sought or taken away.
     """
     if not c.labels.members:
         return []
+    sensor = pi.estimator(G)
 
     @functools.cache
     def prepared() -> tuple[Trajectories, RecordingSmoother, list[ReadRecording], np.ndarray]:
@@ -109,9 +122,8 @@ def label_target(
         return data, smooth, [r.without(np.array(o), paired_steps) for r, o in pairs] or recordings, scale
 
     def factors(seed: int) -> dict:
-        _, smooth, recordings, scale = corrected()
-        errors = smooth.forecast_errors(recordings, scale, seed)
-        return {"factor": min(errors, key=errors.__getitem__), "forecast_errors": list(errors.items())}
+        _, smooth, _, scale = prepared()
+        return reading_errors(c, smooth, sensor, G, scale, seed)
 
     @functools.cache
     def smoothed() -> tuple[Trajectories, list[Smoothed], Trajectories]:
@@ -125,6 +137,42 @@ def label_target(
     if not (c.stages.folder(step) / "labelled.h5").exists():  # runs of earlier versions have that alone
         warn_of_losses(c, step, c.stages.measure(step, WHERE_LOST, lambda seed: losses(*smoothed())))
     return [c.stages.record(step, "labelled", lambda seed: smoothed()[-1])[0]]
+
+
+def reading_errors(
+    c: StageContext, smooth: RecordingSmoother, sensor: PixelStatePredictor, G: VisualTransformation, scale: np.ndarray,
+    seed: int,
+) -> dict:  # fmt: skip
+    """How wrong readings of the target are taken to be, as ``reading_errors.json`` has it.
+
+    Judged where states are known: by the control that was recorded of the plain source, or what G learned from where
+    there is none (docs/decisions/079).
+
+    Args:
+        c: of the run.
+        smooth: expects readings as wrong as on images that encoder and G learned from.
+        sensor: reads target images.
+        G: shows source images as target images.
+        scale: spread of every component of a state, (s,).
+        seed: of the ensembles.
+    """
+    control, learned_from = (c.stages.folder(0) / f"{name}.h5" for name in ("control", "source"))
+    data = read_all([control if control.exists() else learned_from], also="state")
+    shown = replace(data, episodes=tuple(map(G.translate_episode, first_episodes(data))))
+    recordings = recordings_of(shown, sensor, c.worlds.frame_stack)
+    states = [e.observations["state"] for e in shown]
+    errors = replace(smooth, domain=c.worlds.first_source).state_errors(recordings, states, scale, seed)
+    return {"factor": most_that_is_bearable(errors), "state_errors": list(errors.items())}
+
+
+def first_episodes(data: Trajectories) -> list[Episode]:
+    """The beginnings of as many episodes as make up :data:`KNOWN_STEPS`."""
+    kept: list[Episode] = []
+    for episode in data:
+        if sum(map(len, kept)) >= KNOWN_STEPS:
+            break
+        kept.append(episode.part(0, min(len(episode), KNOWN_STEPS_EACH)))
+    return kept
 
 
 def offsets_of_files(
