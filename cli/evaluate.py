@@ -23,7 +23,7 @@ from idapt_pl.run import Run
 from idapt_pl.run_folder.interactions import EVALUATED_BY_HAND, later_entries, later_outcome_entries, later_outcomes
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
 from idapt_pl.run_folder.results import step_of
-from idapt_pl.stages.labels import reading_errors, smoother_of
+from idapt_pl.stages.labels import reading_error_factor, smoother_of
 from idapt_pl.stages.schedule import length_of
 
 
@@ -213,7 +213,7 @@ def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysi
     smooth, _, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
     smooth = replace(smooth, members=members)
     G = run.load_visual(folder / "visual/final.ckpt")
-    factor = reading_errors(run.context, smooth, policy.actor.encoder, G, scale, seed=0)["factor"]
+    factor = reading_error_factor(run.context, smooth, policy.actor.encoder, G, scale, seed=0)["factor"]
     return ActingByPhysics(policy, smooth.supposing(factor))
 
 

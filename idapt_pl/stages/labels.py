@@ -76,15 +76,9 @@ def labelled_images(
 
 
 def label_target(
-    c: StageContext,
-    step: int,
-    target: Sequence[Path],
-    known: Path,
-    G: VisualTransformation,
-    F: ActionTransformation | None,
-    pi: AsymmetricSAC,
-    paired_steps: int = 0,
-) -> list[Path]:
+    c: StageContext, step: int, target: Sequence[Path], known: Path, G: VisualTransformation,
+    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0,
+) -> list[Path]:  # fmt: skip
     """``labelled.h5``: the target's recordings with the states that readings and physics agree on; none if it is off.
 
     Readings of single images are off in ways that no source image shows. But the same actions, played in the source,
@@ -123,7 +117,7 @@ def label_target(
 
     def factors(seed: int) -> dict:
         _, smooth, _, scale = prepared()
-        return reading_errors(c, smooth, sensor, G, scale, seed)
+        return reading_error_factor(c, smooth, sensor, G, scale, seed)
 
     @functools.cache
     def smoothed() -> tuple[Trajectories, list[Smoothed], Trajectories]:
@@ -139,7 +133,7 @@ def label_target(
     return [c.stages.record(step, "labelled", lambda seed: smoothed()[-1])[0]]
 
 
-def reading_errors(
+def reading_error_factor(
     c: StageContext, smooth: RecordingSmoother, sensor: PixelStatePredictor, G: VisualTransformation, scale: np.ndarray,
     seed: int,
 ) -> dict:  # fmt: skip
