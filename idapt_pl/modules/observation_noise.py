@@ -117,6 +117,31 @@ class Several(NoObservationNoise):
         return seen
 
 
+class OneOf(NoObservationNoise):
+    """In each episode one of several noises, drawn evenly.
+
+    Args:
+        noises: of the same simulations.
+        num_envs: n.
+        seed: of the draws.
+    """
+
+    def __init__(self, noises: Sequence[NoObservationNoise], num_envs: int, seed: int) -> None:
+        self._noises, self._rng = tuple(noises), np.random.default_rng([seed, 3])
+        self._which = self._rng.integers(len(self._noises), size=num_envs)
+
+    def renew(self, episodes: np.ndarray) -> None:
+        """Draw anew for some simulations, bool (n,)."""
+        self._which[episodes] = self._rng.integers(len(self._noises), size=int(episodes.sum()))
+        for noise in self._noises:
+            noise.renew(episodes)
+
+    def __call__(self, seen: dict[str, np.ndarray], new: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """What the noise of each simulation makes of it."""
+        noisy = np.stack([noise(seen, new)["observation"] for noise in self._noises])
+        return {**seen, "observation": noisy[self._which, np.arange(len(self._which))]}
+
+
 class SlowNoise(NoObservationNoise):
     """Noise on states as errors of estimates are: slow, an autoregressive process for each component, and constant.
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from idapt_pl.modules.actor_critic import Actor
-from idapt_pl.modules.observation_noise import NoObservationNoise, RecordedErrors, SlowNoise
+from idapt_pl.modules.observation_noise import NoObservationNoise, OneOf, RecordedErrors, SlowNoise
 from idapt_pl.modules.sac import SAC
 
 
@@ -89,12 +89,15 @@ class StateSAC(SAC):
         return self.act(remembered["observation"])
 
     def observation_noise(self, num_envs: int, seed: int) -> NoObservationNoise:
+        noises: list[NoObservationNoise] = []
         if len(self.recorded_errors):
-            return RecordedErrors(self.recorded_errors, num_envs, seed)
-        if not self.misled:
-            return NoObservationNoise()
-        scale = self.actor.encoder.std.cpu().numpy()
-        return SlowNoise(scale, num_envs, self.hparams.noise, self.hparams.offset, seed)
+            noises.append(RecordedErrors(self.recorded_errors, num_envs, seed))
+        if self.hparams.noise or self.hparams.offset:
+            scale = self.actor.encoder.std.cpu().numpy()
+            noises.append(SlowNoise(scale, num_envs, self.hparams.noise, self.hparams.offset, seed))
+        if len(noises) == 2:  # errors measured in one world alone, and a teacher forgets to bear others
+            return OneOf(noises, num_envs, seed)
+        return noises[0] if noises else NoObservationNoise()
 
     @property
     def misled(self) -> bool:

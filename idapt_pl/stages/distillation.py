@@ -66,7 +66,8 @@ class TeacherSettings:
         fading: share of DAgger's steps over which the teacher's share of the actions falls from 1 to 0.
         updates_per_step: minibatches (of ``feeding.policy_batch``) that the student learns from for each of them.
         harden: environment steps for which every new teacher of the grounded source goes on with the errors that
-            estimates had in its rehearsals there (:class:`.RecordedErrors`). Encoder and filter rehearse again after.
+            estimates had in its rehearsals there (:class:`.RecordedErrors`), in half of its episodes if there is
+            ``noise`` or ``offset``. Encoder and filter rehearse again after.
         horizon: control steps after which its episodes are cut while it trains in a repaired source, as by a time
             limit, but not while it is hardened or where there is an F; 0 is the task's. A robot that fell, and whose
             episode goes on, otherwise learns mostly how to get along on its back. In the plain source it may: such a

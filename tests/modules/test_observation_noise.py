@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from idapt_pl.modules import AsymmetricSAC
-from idapt_pl.modules.observation_noise import Flicker, NoObservationNoise, ObservationNoise, RecordedErrors, SlowNoise
+from idapt_pl.modules import AsymmetricSAC, StateSAC
+from idapt_pl.modules.observation_noise import (
+    Flicker,
+    NoObservationNoise,
+    ObservationNoise,
+    OneOf,
+    RecordedErrors,
+    SlowNoise,
+)
 from idapt_pl.nets.encoder import Vision
 from idapt_pl.nets.images import jitter
 
@@ -155,3 +162,36 @@ def test_jitter_keeps_the_mean_image_and_changes_each_one():
     assert jittered.mean().item() == pytest.approx(0.5, abs=0.01)
     assert jittered.mean((1, 2, 3)).std() == pytest.approx(np.hypot(0.5 * 0.2, 0.1) / np.sqrt(3), rel=0.1)
     assert jitter(images, 0.0) is images
+
+
+def test_each_episode_has_one_of_several_noises_and_another_may_follow():
+    n = 400
+    slow = SlowNoise(np.ones(2), n, 0.0, 0.1, seed=0)
+    recorded = RecordedErrors([np.full((4000, 2), 5.0)], n, seed=0)
+    either = OneOf([slow, recorded], n, seed=0)
+    nothing = {"observation": np.zeros((n, 2), np.float32), "other": 3}
+
+    def large():
+        seen = either(nothing)
+        assert seen["other"] == 3
+        return np.abs(seen["observation"]).max(1) > 1.0
+
+    first = large()
+    assert 0.3 < first.mean() < 0.6, "half of the episodes, those whose factor is small aside"
+    assert np.array_equal(large(), first), "an episode keeps its noise"
+    anew = np.arange(n) < n // 2
+    either.renew(anew)
+    second = large()
+    assert np.array_equal(second[~anew], first[~anew]) and 0.2 < np.mean(second[anew] != first[anew]) < 0.7
+
+
+def test_a_teacher_that_is_hardened_goes_on_bearing_what_it_bore():
+    """Else it falls from where it stood, as a walker did that had learned to walk with noise."""
+    bounds = {"low": [-1.0], "high": [1.0]}
+    hardened, noiseless = (StateSAC(2, bounds["low"], bounds["high"], hidden=[8], noise=x) for x in (0.2, 0.0))
+    for module in (hardened, noiseless):
+        module.recorded_errors = [np.full((4000, 2), 50.0)]
+    seen = {"observation": np.zeros((100, 2), np.float32)}
+    for module, least, most in ((hardened, 0.3, 0.7), (noiseless, 0.9, 1.0)):
+        far = np.abs(module.observation_noise(100, seed=0)(seen)["observation"]).max(1) > 1.0
+        assert least < far.mean() <= most
