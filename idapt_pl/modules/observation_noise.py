@@ -117,7 +117,7 @@ class Several(NoObservationNoise):
         return seen
 
 
-class OneOf(NoObservationNoise):
+class MixedNoise(NoObservationNoise):
     """In each episode one of several noises, drawn evenly.
 
     Args:

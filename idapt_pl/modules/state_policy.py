@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from idapt_pl.modules.actor_critic import Actor
-from idapt_pl.modules.observation_noise import NoObservationNoise, OneOf, RecordedErrors, SlowNoise
+from idapt_pl.modules.observation_noise import MixedNoise, NoObservationNoise, RecordedErrors, SlowNoise
 from idapt_pl.modules.sac import SAC
 
 
@@ -96,7 +96,7 @@ class StateSAC(SAC):
             scale = self.actor.encoder.std.cpu().numpy()
             noises.append(SlowNoise(scale, num_envs, self.hparams.noise, self.hparams.offset, seed))
         if len(noises) == 2:  # errors measured in one world alone, and a teacher forgets to bear others
-            return OneOf(noises, num_envs, seed)
+            return MixedNoise(noises, num_envs, seed)
         return noises[0] if noises else NoObservationNoise()
 
     @property

@@ -7,9 +7,9 @@ import torch
 from idapt_pl.modules import AsymmetricSAC, StateSAC
 from idapt_pl.modules.observation_noise import (
     Flicker,
+    MixedNoise,
     NoObservationNoise,
     ObservationNoise,
-    OneOf,
     RecordedErrors,
     SlowNoise,
 )
@@ -168,7 +168,7 @@ def test_each_episode_has_one_of_several_noises_and_another_may_follow():
     n = 400
     slow = SlowNoise(np.ones(2), n, 0.0, 0.1, seed=0)
     recorded = RecordedErrors([np.full((4000, 2), 5.0)], n, seed=0)
-    either = OneOf([slow, recorded], n, seed=0)
+    either = MixedNoise([slow, recorded], n, seed=0)
     nothing = {"observation": np.zeros((n, 2), np.float32), "other": 3}
 
     def large():
