@@ -128,7 +128,7 @@ class IterativeGrounding:
         """Grounding step k, on new data of the policy: G and F finetuned, the policy trained in their world."""
         c, lengths = self.context, self.schedule.finetune
         D_S = (*g.D_S, record_source(c, k, on_policy(c, g.pi), self.schedule.interactions, g.G, g.F))
-        warn_if_ended_sooner(k, D_S[-1], D_T[-1])
+        warn_if_ended_sooner(c, k, D_S[-1], D_T[-1])
         moved = moved_poses(c, k, self.recent(D_S))
         P_S = fit_P_S(c, k, (*self.recent(D_S), *moved), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)

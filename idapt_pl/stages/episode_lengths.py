@@ -7,6 +7,8 @@ from pathlib import Path
 from statistics import median
 
 from datamodules import read_trajectories
+from idapt_pl.stages.context import StageContext
+from idapt_pl.targets import RecordedTarget
 
 log = logging.getLogger(__name__)
 
@@ -14,17 +16,20 @@ SOONER = 1 / 3
 """Share of the source's usual length below which episodes of the target are ended sooner."""
 
 
-def warn_if_ended_sooner(k: int, source: Path, target: Path) -> None:
+def warn_if_ended_sooner(c: StageContext, k: int, source: Path, target: Path) -> None:
     """Say so if the target ends episodes that the grounded source goes on with.
 
     Then what is seen of the target, or the source's physics, is still wrong, though no loss tells. Nothing but the ends
-    of episodes is looked at, which any target shows.
+    of episodes is looked at, which any target shows. Those of recordings that people brought may have other reasons.
 
     Args:
+        c: of the run.
         k: grounding step.
         source: trajectory file of the policy in the grounded source.
         target: likewise of the target.
     """
+    if isinstance(c.worlds.target, RecordedTarget):
+        return
     in_target, in_source = (median(lengths_of(path)) for path in (target, source))
     if in_target < SOONER * in_source:
         log.warning(
