@@ -8,7 +8,6 @@ from statistics import median
 
 from datamodules import read_trajectories
 from idapt_pl.stages.context import StageContext
-from idapt_pl.targets import RecordedTarget
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +27,7 @@ def warn_if_ended_sooner(c: StageContext, k: int, source: Path, target: Path) ->
         source: trajectory file of the policy in the grounded source.
         target: likewise of the target.
     """
-    if isinstance(c.worlds.target, RecordedTarget):
+    if not c.worlds.target.playable:
         return
     in_target, in_source = (median(lengths_of(path)) for path in (target, source))
     if in_target < SOONER * in_source:
