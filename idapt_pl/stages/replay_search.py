@@ -37,7 +37,7 @@ from idapt_pl.tasks import Task
 
 log = logging.getLogger(__name__)
 
-REPLAYED = 40
+REPLAYED, REPLAYED_STEPS = 80, 40
 """Recordings that are replayed, and control steps of each at most."""
 SCREENED_BY = 12
 """Of these, as many at least as all candidates are tried with first; those that did best are judged by all."""
@@ -211,7 +211,7 @@ def known_components(starts: np.ndarray, states: np.ndarray) -> tuple[list[int],
 
 def of_one_length(recordings: Sequence[ReadRecording]) -> list[ReadRecording]:
     """The first steps of recordings, as many of each: of those that are about as long as most, or longer."""
-    steps = min(REPLAYED, int(np.median([len(r) for r in recordings])))
+    steps = min(REPLAYED_STEPS, int(np.median([len(r) for r in recordings])))
     return [r.first(steps) for r in recordings if len(r) >= steps]
 
 
