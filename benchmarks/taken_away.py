@@ -35,6 +35,7 @@ HARDENED = r"trial_rehearsal|hardened_.*"
 LABELS = r"reading_errors|reading_offsets|lost|labelled|replay_labelled|replay_agreement|estimator_replayed"
 TEACHERS = r"teacher(_\d+)?|teacher_trials"
 SEARCH = r"control|effects|known_start_search"
+AGAIN = r"repaired_.*"
 SOURCE = r"source_(start|policy)|source_(rehearsal|estimator|filter)_.*|direct_transfer"
 
 PARTS: dict[str, tuple[dict[str, object], str]] = {
@@ -48,7 +49,11 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
     "beginning afresh": ({"teacher.afresh": 0}, f"{TEACHERS}|{LEARNED}|{HARDENED}"),
     "effects": (  # and no variants within their intervals
         {"effects.discover": "false", "randomisation.ranges": "null"},
-        f"{SEARCH}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}",
+        f"{SEARCH}|{AGAIN}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}",
+    ),
+    "repaired exploration": (
+        {"schedule.repaired_visual": 0},
+        f"{AGAIN}|{LABELS}|{TEACHERS}|{LEARNED}|{HARDENED}|student",
     ),
     "estimates": (  # a student without memory imitates the teacher on three frames
         {
@@ -59,7 +64,7 @@ PARTS: dict[str, tuple[dict[str, object], str]] = {
             "teacher.rounds": 1,
             "labels.members": 0,
         },
-        f"{SOURCE}|estimator|{LABELS}|{LEARNED}|{HARDENED}",
+        f"{SOURCE}|estimator|{AGAIN}|{LABELS}|{LEARNED}|{HARDENED}",
     ),
 }
 """What is switched off: its keys, and the stages of step 0 that are made again."""

@@ -22,7 +22,7 @@ from idapt_pl.rl.returns import EpisodeOutcome, evaluate
 from idapt_pl.run import Run
 from idapt_pl.run_folder.interactions import EVALUATED_BY_HAND, later_entries, later_outcome_entries, later_outcomes
 from idapt_pl.run_folder.kept_outcomes import KeptOutcomes
-from idapt_pl.run_folder.results import step_of
+from idapt_pl.run_folder.results import newest_of, step_of
 from idapt_pl.stages.labels import reading_error_factor, smoother_of
 from idapt_pl.stages.schedule import length_of
 
@@ -209,10 +209,10 @@ def by_physics(run: Run, episodes: int, seed: int, members: int) -> dict[str, di
 def acting_by_physics(run: Run, checkpoint: Path, members: int) -> ActingByPhysics:
     """A grounding step's policy on states by physics. Its step's recordings say how wrong readings are."""
     folder, policy = checkpoint.parent.parent, run.load_policy(checkpoint)
-    target, known = read_all([folder / "target.h5"]), folder / "translated.h5"
+    target, known = read_all([folder / "target.h5"]), newest_of(folder, "translated.h5")
     smooth, _, scale = smoother_of(run.context, target, known, policy.actor.encoder, None)
     smooth = replace(smooth, members=members)
-    G = run.load_visual(folder / "visual/final.ckpt")
+    G = run.load_visual(newest_of(folder, "visual/final.ckpt"))
     factor = reading_error_factor(run.context, smooth, policy.actor.encoder, G, scale, seed=0)["factor"]
     return ActingByPhysics(policy, smooth.supposing(factor))
 

@@ -11,13 +11,14 @@ from idapt_pl.evaluation.evaluation import Evaluation
 from idapt_pl.image_diagnosis import DiscoverySettings
 from idapt_pl.modules import ActionTransformation, AsymmetricSAC, StatePredictor, VisualTransformation
 from idapt_pl.rl.policy import Policy
+from idapt_pl.run_folder.results import REPAIRED
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.collection import explorer, on_policy, record_source, record_target, replay_in_source
 from idapt_pl.stages.context import StageContext
 from idapt_pl.stages.convergence import check_convergence
 from idapt_pl.stages.cut_episodes import as_cut, cut_horizon, cut_where_lost
 from idapt_pl.stages.dynamics import fit_F
-from idapt_pl.stages.encoder import fit_encoder
+from idapt_pl.stages.encoder import fit_encoder, poses_through
 from idapt_pl.stages.episode_lengths import warn_if_ended_sooner
 from idapt_pl.stages.labels import labelled_images
 from idapt_pl.stages.moved_poses import moved_poses
@@ -52,6 +53,27 @@ class Grounding:
     F: ActionTransformation | None
     pi: AsymmetricSAC
     report: Callable[[], dict]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What step 0 sees the target with, and what it learned that from.
+
+    Attributes:
+        D_S: of the source, as of :class:`Grounding`.
+        D_T: of the target.
+        G: source images to target images.
+        pi: its encoder reads target images.
+        labelled: target-like images with states; none where nothing learns from them.
+        poses: target-like images, with states, of poses that no motion brings about.
+    """
+
+    D_S: tuple[Path, ...]
+    D_T: tuple[Path, ...]
+    G: VisualTransformation
+    pi: AsymmetricSAC
+    labelled: Sequence[Path]
+    poses: Sequence[Path]
 
 
 class IterativeGrounding:
@@ -103,24 +125,33 @@ class IterativeGrounding:
         moved = moved_poses(c, 0, D_S)
         P_S = fit_P_S(c, 0, (*D_S, *moved), lengths.state_predictor)
         source_policy = self.source_policy(P_S, D_S)
-        D_S, D_T, G, pi, labelled = self.see(D_S, D_T, P_S, source_policy, moved)
-        pi = fit_grounded_policy(c, 0, lengths, G, None, pi, labelled, moved)
-        return Grounding(D_S, D_T, P_S, G, None, pi, self.report(0, D_T, P_S, G, None, pi))
+        seen = self.see(D_S, D_T, P_S, source_policy, moved)
+        pi = fit_grounded_policy(c, 0, lengths, seen.G, None, seen.pi, seen.labelled, seen.poses)
+        report = self.report(0, seen.D_T, P_S, seen.G, None, pi)
+        return Grounding(seen.D_S, seen.D_T, P_S, seen.G, None, pi, report)
 
     def see(
         self, D_S: tuple[Path, ...], D_T: tuple[Path, ...], P_S: StatePredictor,
         source_policy: Callable[[], AsymmetricSAC], moved: Sequence[Path],
-    ) -> tuple[tuple[Path, ...], tuple[Path, ...], VisualTransformation, AsymmetricSAC, list[Path]]:  # fmt: skip
+    ) -> Sight:  # fmt: skip
         """Step 0 up to what reads the target's images; again from recordings cut where physics loses them."""
         c, lengths = self.context, self.schedule.pretrain
         D_S, D_T = as_cut(c, D_S), as_cut(c, D_T)
         bare = c.worlds.source_domain, c.worlds.distribution
         G = fit_G(c, 0, D_S, D_T, lengths.visual, P_S, replayed=self.play_again(0, D_T))
-        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy(), moved)
-        self.repair.physical_effects(0, D_T, G, pi)
-        labelled = labelled_images(c, 0, D_S, D_T, G, None, pi, self.schedule.paired_steps)
+        poses, prefix = poses_through(c, 0, moved, G), ""
+        pi = fit_encoder(c, 0, D_S, lengths.estimator, G, source_policy(), poses)
+        explored = D_S
+        if self.repair.physical_effects(0, D_T, G, pi) and self.schedule.repaired_visual:
+            # poses go together in the repaired source as in the target, where G had made up for what was missing
+            explored, prefix = (self.explore_source(f"{REPAIRED}source"),), REPAIRED
+            replayed = self.play_again(0, D_T, prefix=REPAIRED)
+            G = fit_G(c, 0, explored, D_T, self.schedule.repaired_visual, P_S, G, replayed, f"{REPAIRED}visual")
+            poses = poses_through(c, 0, moved, G, REPAIRED)
+            pi = fit_encoder(c, 0, explored, lengths.estimator, G, pi, poses, REPAIRED)
+        labelled = labelled_images(c, 0, explored, D_T, G, None, pi, self.schedule.paired_steps, prefix)
         if not cut_where_lost(c):
-            return D_S, D_T, G, pi, labelled
+            return Sight(explored, D_T, G, pi, labelled, poses)
         c.worlds.source_domain, c.worlds.distribution = bare  # what was found then was read through a G that failed
         return self.see(D_S, D_T, P_S, source_policy, moved)
 
@@ -133,13 +164,14 @@ class IterativeGrounding:
         P_S = fit_P_S(c, k, (*self.recent(D_S), *moved), lengths.state_predictor, g.P_S)
         replayed = self.play_again(k, self.recent(D_T), g)
         G = fit_G(c, k, self.recent(D_S), self.recent(D_T), lengths.visual, P_S, g.G, replayed)
-        pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi, moved)
+        poses = poses_through(c, k, moved, G)
+        pi = fit_encoder(c, k, self.recent(D_S), lengths.estimator, G, g.pi, poses)
         repaired = self.repair.physical_effects(k, D_T, G, pi)
         F_before = None if repaired else g.F  # a source that was repaired needs a new F
         F = self.ground_actions(k, D_T, G, F_before, pi)
         F = self.rollback(k, D_T[-1], G, F, F_before, g.pi)
         labelled = labelled_images(c, k, self.recent(D_S), D_T, G, F, pi, self.schedule.paired_steps)
-        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled, moved)
+        pi_before, pi = pi, fit_grounded_policy(c, k, lengths, G, F, pi, labelled, poses)
         return Grounding(D_S, D_T, P_S, G, F, pi, self.report(k, D_T, P_S, G, F, pi, pi_before))
 
     def settled(self, k: int, g: Grounding, D_T: tuple[Path, ...]) -> bool:
@@ -185,18 +217,18 @@ class IterativeGrounding:
         self.explore(0)  # here, so that training who explores is a stage and not part of the recording
         return record_target(self.context, 0, self.explore, self.schedule.images, self.schedule.exploration_horizon)
 
-    def explore_source(self) -> Path:
-        """D^S: images and states of the source, from exploration."""
+    def explore_source(self, name: str = "source") -> Path:
+        """D^S: images and states of the source as it is, from exploration."""
         s = self.schedule
-        steps, horizon = s.source_images or s.images, s.exploration_horizon
-        return record_source(self.context, 0, self.explore, steps, horizon=horizon)
+        steps, horizon = s.source_images or s.images, cut_horizon(self.context) or s.exploration_horizon
+        return record_source(self.context, 0, self.explore, steps, name=name, horizon=horizon)
 
-    def play_again(self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None) -> Path | None:
+    def play_again(self, k: int, D_T: tuple[Path, ...], g: Grounding | None = None, prefix: str = "") -> Path | None:
         """What the first actions of the target's episodes do in the source as it is: nearly the same, for a while."""
         if not (steps := self.schedule.paired_steps):
             return None
         G, F = (None, None) if g is None else (g.G, g.F)
-        return replay_in_source(self.context, k, D_T, G, F, "replayed", steps)
+        return replay_in_source(self.context, k, D_T, G, F, f"{prefix}replayed", steps)
 
     def record_control(self, k: int) -> Path:
         """New images and states of the source as it is, from exploration, that nothing is fitted to."""

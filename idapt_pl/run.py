@@ -25,7 +25,7 @@ from idapt_pl.randomisation import FOUND
 from idapt_pl.rendering.parallel import usual_processes
 from idapt_pl.run_config import MODULES, RunConfig
 from idapt_pl.run_folder.interactions import disagreements, held_interactions, reconciled
-from idapt_pl.run_folder.results import effect_files, step_of
+from idapt_pl.run_folder.results import effect_files, newest_of, step_of
 from idapt_pl.stage import MakeTrainer, Stages, cpu_trainer, load_finished
 from idapt_pl.stages.aside import Aside, in_turn
 from idapt_pl.stages.context import StageContext
@@ -184,7 +184,8 @@ class Run:
         Raises:
             ValueError: if there is none yet.
         """
-        made = sorted(self.folder.glob("step_*/visual/final.ckpt"))
+        made = [newest_of(f, "visual/final.ckpt") for f in sorted(self.folder.glob("step_*"))]
+        made = [path for path in made if path.exists()]
         if not made and checkpoint is None:
             raise ValueError(
                 f"{self.folder} has no finished visual stage yet; resume it: "

@@ -25,6 +25,7 @@ from idapt_pl.report.run_pictures import translated_examples
 from idapt_pl.report.run_record import RunRecord, StepRecord
 from idapt_pl.report.run_wording import format_distance, step_story
 from idapt_pl.run import Run
+from idapt_pl.run_folder.results import newest_of
 
 PICTURE_WIDTH = 92
 """Of translated frames, pixels of the page."""
@@ -62,14 +63,14 @@ def step_images(step: StepRecord, run: Run) -> str:
 
 def translated_frames(step: StepRecord, run: Run) -> str:
     """Rows of pictures: what the source shows, what G makes of it, and the real target frame most like that."""
-    checkpoint = step.folder / "visual" / "final.ckpt"
+    checkpoint = newest_of(step.folder, "visual/final.ckpt")
     if not checkpoint.exists():
         return paragraph("No pictures: G of this step has not been trained yet.", "small")
     try:
         G = run.load_visual(checkpoint)
     except ValueError as error:
         return paragraph(f"No pictures: {error}", "small")
-    recordings = (step.folder / "source.h5", step.folder / "target.h5")
+    recordings = (newest_of(step.folder, "source.h5"), step.folder / "target.h5")
     try:
         for path in recordings:
             verify(path)

@@ -8,6 +8,8 @@ from idapt_pl.files import REDO, DamagedFile, read_json
 
 UNCUT = "uncut_"
 """Before the names of what step 0 made of exploring episodes before they were cut (docs/decisions/078)."""
+REPAIRED = "repaired_"
+"""Before the names of what step 0 learned from the repaired source's exploration (docs/decisions/083)."""
 
 
 def read_result(path: Path) -> dict:
@@ -20,6 +22,12 @@ def read_result(path: Path) -> dict:
     if not belongs(path, result):
         raise DamagedFile(f"{path}: holds {result['stage']} of step {result['step']}. {REDO}")
     return result
+
+
+def newest_of(folder: Path, name: str) -> Path:
+    """A file of a grounding step, ``RUN/step_<k>``: as it was made again from the repaired source, if it was."""
+    again = folder / f"{REPAIRED}{name}"
+    return again if again.exists() else folder / name
 
 
 def effect_files(folder: Path) -> list[Path]:

@@ -93,6 +93,10 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "teacher": 0.008 * t.adapt * (looks or (k > 0 and s.action_transformation)),
         "evaluation": 50.0,
     }
+    if looks and not k and s.repaired_visual:
+        again = {name: costs[name] for name in ("source", "replayed", "translated", "estimator")}
+        again["visual"] = costs["visual"] * s.repaired_visual / max(lengths.visual, 1)
+        costs |= {f"repaired_{name}": cost for name, cost in again.items()}
     costs |= {f"teacher_{i}": costs["teacher"] for i in range(2, t.candidates + 1)}
     if config.poses.spread:
         costs |= {"moved": 0.006 * config.poses.images * area, "moved_translated": 0.004 * config.poses.images * area}

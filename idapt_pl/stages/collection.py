@@ -133,7 +133,7 @@ def record_source(
 ) -> Path:
     """``<name>.h5`` of a grounding step: source images and states, of a policy in the source behind G and F.
 
-    Warns of parts of the robot that leave the picture, if they did not in the step before.
+    Warns of parts of the robot that leave the picture, if they did not in what was recorded before.
     """
 
     def make(seed: int) -> Trajectories:
@@ -142,7 +142,8 @@ def record_source(
             return collect(env, make_policy(seed), steps, seed, about, "source_pixels", horizon=horizon)
 
     path = c.stages.record(k, name, make)[0]
-    warn_if_outside(c.worlds, path, c.stages.folder(k - 1) / path.name if k else None)
+    before = c.stages.folder(k - 1) / path.name if k else c.stages.folder(0) / "source.h5"
+    warn_if_outside(c.worlds, path, before if before != path else None)
     return path
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from datamodules import Trajectories, read_trajectories
 from idapt_pl.files import read_json, write_json
-from idapt_pl.run_folder.results import UNCUT
+from idapt_pl.run_folder.results import REPAIRED, UNCUT
 from idapt_pl.stages.context import StageContext
 
 log = logging.getLogger(__name__)
@@ -28,6 +28,7 @@ WHERE_LOST = "lost"
 """The stage that says where recordings are lost (:mod:`idapt_pl.stages.labels`)."""
 MADE_AGAIN = (
     "replayed", "visual", "translated", "moved_translated", "estimator", "control", "effects", "known_start_search",
+    *(f"{REPAIRED}{name}" for name in ("source", "replayed", "visual", "translated", "moved_translated", "estimator")),
     "reading_offsets", "reading_errors", "labelled", WHERE_LOST,
 )  # fmt: skip
 """Stages of step 0 that learn from the recordings, the one that is asked whether to cut the last."""

@@ -17,22 +17,34 @@ from idapt_pl.stages.state_predictor import fit_P_S
 
 def fit_encoder(
     c: StageContext, step: int, source: Sequence[Path], batches: int, G: VisualTransformation, pi: AsymmetricSAC,
-    moved: Sequence[Path] = (),
+    poses: Sequence[Path] = (), prefix: str = "",
 ) -> AsymmetricSAC:  # fmt: skip
     """π with its encoder regressed on all labelled source images, as G shows them; 0 batches leave π as it is.
 
     While π trains it meets few states, near those it holds. F and the next policies need estimates that are right
     wherever G has data.
+
+    Args:
+        c: of the run.
+        step: grounding step.
+        source: trajectory files with images and states.
+        batches: of the encoder.
+        G: shows source images as target images.
+        pi: whose encoder goes on.
+        poses: trajectory files with target-like images and states that no motion brings about.
+        prefix: of the stages' names.
     """
     if not batches:
         return pi
-    files = [translated(c, step, source, G), *poses_through(c, step, moved, G)]
-    return fit_encoder_on(c, step, "estimator", files, batches, pi)
+    files = [translated(c, step, source, G, f"{prefix}translated"), *poses]
+    return fit_encoder_on(c, step, f"{prefix}estimator", files, batches, pi)
 
 
-def poses_through(c: StageContext, step: int, moved: Sequence[Path], G: VisualTransformation | None) -> list[Path]:
-    """``moved_translated.h5``: images of moved poses as G shows them; as they are without G, none if there are none."""
-    return [translated(c, step, moved, G, "moved_translated")] if moved and G is not None else list(moved)
+def poses_through(
+    c: StageContext, step: int, moved: Sequence[Path], G: VisualTransformation, prefix: str = ""
+) -> list[Path]:
+    """``moved_translated.h5``: images of moved poses as G shows them; none if there are none."""
+    return [translated(c, step, moved, G, f"{prefix}moved_translated")] if moved else []
 
 
 def translated(

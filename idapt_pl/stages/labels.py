@@ -49,7 +49,7 @@ STARTS_WELL = 5
 
 def labelled_images(
     c: StageContext, step: int, source: Sequence[Path], target: Sequence[Path], G: VisualTransformation,
-    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0,
+    F: ActionTransformation | None, pi: AsymmetricSAC, paired_steps: int = 0, prefix: str = "",
 ) -> list[Path]:  # fmt: skip
     """Trajectory files with target-like images and states, for what reads them beside the policy's own experience.
 
@@ -65,13 +65,15 @@ def labelled_images(
         F: what the source plays for an action of the target; None is the identity.
         pi: its encoder reads target images.
         paired_steps: control steps from where episodes begin that G learned as pairs.
+        prefix: of the name of the file with source images through G.
     """
+    name = f"{prefix}translated"
     if not c.teacher.settings.rehearse:
         told = replayed_labels(c, step, target, G, F)
         for path in told if pi.supervised else ():
             warn_if_read_otherwise(c, step, path, pi)
-        return [translated(c, step, source, G), *told] if told else []
-    known = translated(c, step, source, G)
+        return [translated(c, step, source, G, name), *told] if told else []
+    known = translated(c, step, source, G, name)
     return [known, *label_target(c, step, target, known, G, F, pi, paired_steps)]
 
 

@@ -20,7 +20,7 @@ from idapt_pl.nets.encoder import PixelStatePredictor
 from idapt_pl.rl.experience import Experience
 from idapt_pl.rl.recurrent_experience import RecurrentExperience
 from idapt_pl.stages.context import StageContext
-from idapt_pl.stages.encoder import fit_encoder_on, poses_through
+from idapt_pl.stages.encoder import fit_encoder_on
 from idapt_pl.stages.on_estimates import fit_on_estimates
 from idapt_pl.stages.schedule import StageLengths, length_of
 from idapt_pl.stages.trials import GroundedTrials, trial
@@ -67,12 +67,12 @@ def untrained(module: AsymmetricSAC, seed: int, device: torch.device) -> ReplayD
 
 def fit_grounded_policy(
     c: StageContext, step: int, lengths: StageLengths, G: VisualTransformation, F: ActionTransformation | None,
-    pi: AsymmetricSAC, labelled: Sequence[Path] = (), moved: Sequence[Path] = (),
+    pi: AsymmetricSAC, labelled: Sequence[Path] = (), poses: Sequence[Path] = (),
 ) -> AsymmetricSAC:  # fmt: skip
     """π by SAC (or first a teacher) in the source seen through G and moved through F, continued from ``pi``.
 
     Where the teacher acts on estimates, they are learned from ``labelled``, target-like images with states, too, and
-    the encoder from ``moved``, source images in poses that no motion brings about, as G shows them. Elsewhere the
+    the encoder from ``poses``, target-like images of what no motion brings about. Elsewhere the
     encoder learns from ``labelled``, first from all and then, as π learns, from those of the target alone. With
     ``feeding.trial_episodes`` episodes in the grounded source say whether it trains again, and whether it is put back.
     """
@@ -88,7 +88,6 @@ def fit_grounded_policy(
     initial = pi
     if c.teacher.settings.rehearse:
         teacher = c.teacher.up_to_date(step, "teacher", lambda: c.new_policy(pi), make_env, F)
-        poses = poses_through(c, step, moved, G)
         initial = fit_on_estimates(c, step, "", lengths, labelled, teacher, pi, G, F, poses)
     elif c.teacher.settings.steps:
         initial = c.teacher.student(step, "", lambda: c.new_policy(pi), make_env, F, own)

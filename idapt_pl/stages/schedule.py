@@ -125,6 +125,9 @@ class Schedule:
         paired_steps: so many control steps from the start of each of the target's episodes are played again in the
             source as it is. Images of the same step then show nearly the same to ``visual.reset_weight``, where
             otherwise only first observations do. As many as the two dynamics take to part ways. 0 for none.
+        repaired_visual: batches for which G goes on where step 0 found effects, on what the repaired source shows of
+            the same exploration. G had learned to take the plain source's poses to the target's, which differ by what
+            was missing. 0 leaves G as it is.
         pretrain: stages before the first grounding step.
         finetune: stages of every grounding step.
         action_transformation: learn F; without it only the images are grounded (an ablation).
@@ -149,6 +152,7 @@ class Schedule:
     interactions: int = 1000
     source_policy: int | None = 10_000
     paired_steps: int = 0
+    repaired_visual: int = 0
     pretrain: StageLengths = field(default_factory=lambda: StageLengths(25_000, 100_000, 10_000))
     finetune: StageLengths = field(default_factory=lambda: StageLengths(625, 5000, 10_000, 10))
     action_transformation: bool = True
@@ -163,6 +167,7 @@ class Schedule:
             "source_images": COUNT,
             "interactions": COUNT,
             "paired_steps": COUNT_OR_NONE,
+            "repaired_visual": COUNT_OR_NONE,
             "source_policy": COUNT_OR_NONE,
         }
         once |= {

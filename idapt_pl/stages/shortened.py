@@ -9,6 +9,7 @@ from idapt_pl.ranges import Range, check_ranges
 
 AT_LEAST = {
     "schedule.images": 300, "schedule.source_images": 300, "schedule.interactions": 150, "schedule.source_policy": 40,
+    "schedule.repaired_visual": 20,
     **{
         f"schedule.{part}.{name}": least
         for part in ("pretrain", "finetune")

@@ -21,6 +21,7 @@ def fit_G(
     P_S: StatePredictor,
     initial: VisualTransformation | None = None,
     replayed: Path | None = None,
+    name: str = "visual",
 ) -> VisualTransformation:
     """G with P^T on unpaired images; P^T starts as a copy of P^S.
 
@@ -33,6 +34,7 @@ def fit_G(
         P_S: fitted to the same source files.
         initial: the G that this one goes on from.
         replayed: the source's file of what the target's actions do there at first, or None.
+        name: of the stage.
     """
 
     def build() -> VisualTransformation:
@@ -46,4 +48,4 @@ def fit_G(
         resets = max(1, size // 4) if module.hparams.reset_weight else 0
         return UnpairedImages(source, target, stack, size, batches, seed, resets, replayed)
 
-    return c.stages.fit(step, "visual", build, feed, batches)
+    return c.stages.fit(step, name, build, feed, batches)

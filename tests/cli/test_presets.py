@@ -41,6 +41,7 @@ PAPER = {
     "schedule.accumulate": False, "schedule.action_transformation": True,
     "schedule.rollback": False, "schedule.until_settled": False,
     "schedule.exploration_horizon": None, "schedule.exploration_strays": 0.0, "schedule.paired_steps": 0,
+    "schedule.repaired_visual": 0,
     "labels.members": 0, "labels.replays": 0, "effects.discover": False, "effects.looks": False,
     "view.share": 1.0, "view.up": 0.0, "view.right": 0.0, "poses.spread": 0,
     "effects.known": None, "randomisation.ranges": None,
