@@ -32,6 +32,7 @@ from datamodules.unpaired import read_all
 from idapt_pl.rl.collect import collect
 from idapt_pl.rl.policy import deterministic
 from idapt_pl.run import Run
+from idapt_pl.run_folder.results import newest_of
 from idapt_pl.smoothing import ReadRecording, reading_offsets
 from idapt_pl.stages.labels import recordings_of
 from idapt_pl.stages.refinement import position_components
@@ -53,9 +54,9 @@ def rows_of(run: Run, step: int, steps: int, seed: int) -> list[dict]:
     """Rows of one step of a run, in the target and in the control."""
     folder, worlds = run.context.stages.run_dir / f"step_{step:02d}", run.context.worlds
     policy = run.load_policy(folder / "policy/final.ckpt")
-    sensor = policy.estimator(run.load_visual(folder / "visual/final.ckpt"))
+    sensor = policy.estimator(run.load_visual(newest_of(folder, "visual/final.ckpt")))
     begin = run.config.schedule.paired_steps
-    known = read_all([folder / "translated.h5"], also="state")
+    known = read_all([newest_of(folder, "translated.h5")], also="state")
     scale = np.concatenate([e.observations["state"] for e in known]).std(0) + 1e-9
     with closing(worlds.rewarded_target(1)) as env:
         there = collect(env, deterministic(policy), steps, seed, "evaluation only")

@@ -18,7 +18,10 @@ from idapt_pl.tasks import make_task
 from tests.conftest import TINY
 
 HEAVY = BodyMass("pole", 40.0)
-SETTINGS = TINY | {"schedule.repaired_visual": 4, "schedule.grounding_steps": 1, "schedule.pretrain.estimator": 4}
+SETTINGS = TINY | {
+    "schedule.repaired_visual": 4, "schedule.grounding_steps": 1, "schedule.pretrain.estimator": 4,
+    "threads": 1, "side_by_side": "false",  # as runs are compared bit by bit
+}  # fmt: skip
 AGAIN = {f"repaired_{name}" for name in ("source.h5", "visual", "translated.h5", "estimator")}
 
 
