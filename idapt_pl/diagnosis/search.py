@@ -20,6 +20,7 @@ from idapt_pl.diagnosis.laws.library_words import explained_by_library
 from idapt_pl.diagnosis.laws.search import search_laws
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.rounds.acceptance import accept, confirm
+from idapt_pl.diagnosis.rounds.all_at_once import add_all_at_once
 from idapt_pl.diagnosis.rounds.look_ahead import add_two
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.revision import (
@@ -234,13 +235,20 @@ def select_and_revise(
 
 
 def add_effects(context: SearchContext, progress: Progression, to_the_end: bool = False) -> Progression:
-    """Add effects one by one, unless the first of them show that this leads nowhere."""
-    most = context.settings.max_effects - len(progress[0].accepted)
-    found = add_one_by_one(context, progress, min(most, FIRST_EFFECTS))
-    taken = len(found[0].accepted) - len(progress[0].accepted)
-    if taken < FIRST_EFFECTS or leads_nowhere(context, found[0], to_the_end):
-        return found
-    return add_one_by_one(context, found, most - taken)
+    """Add effects one by one, unless the first of them show that this leads nowhere.
+
+    Where they stay far from the recordings, the usual ones of all joints and motors are tried at once.
+    """
+    most = context.settings.max_effects
+    state, trials = add_one_by_one(context, progress, min(most - len(progress[0].accepted), FIRST_EFFECTS))
+    taken = len(state.accepted) - len(progress[0].accepted)
+    far = taken and context.settings.thorough and far_from_explained(context, state)
+    if (taken < FIRST_EFFECTS and not far) or leads_nowhere(context, state, to_the_end):
+        return state, trials
+    wider = add_all_at_once(context, state, next_round(trials, state)) if far else state
+    if taken < FIRST_EFFECTS and wider is state:
+        return state, trials
+    return add_one_by_one(context, (wider, trials), most - len(wider.accepted))
 
 
 def leads_nowhere(context: SearchContext, state: SearchState, to_the_end: bool = False) -> bool:

@@ -27,9 +27,13 @@ NOISE_Q, NOISE_V, DT, SKIP = 1e-3, 1e-2, 0.02, 5
 
 
 def record(
-    xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0, noise=(NOISE_Q, NOISE_V)
-):
-    """Recordings of an arm: commands late by whole physics steps, ``push(time)`` a torque on the shoulder."""
+    xml=ARM, delay=0, push=None, episodes=6, steps=80, size=1.0, velocities=True, seed=0, noise=(NOISE_Q, NOISE_V),
+    skip=SKIP,
+):  # fmt: skip
+    """Recordings of an arm: commands late by whole physics steps, ``push(time)`` a torque on the shoulder.
+
+    ``skip``: physics steps of a control step.
+    """
     model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(seed)
     made = []
     for _ in range(episodes):
@@ -38,7 +42,7 @@ def record(
         actions = size * np.repeat(rng.normal(size=(steps // 4, model.nu)), 4, 0).clip(-1, 1)
         q, v = [data.qpos.copy()], [data.qvel.copy()]
         for a in actions:
-            for _ in range(SKIP):
+            for _ in range(skip):
                 queue.append(a)
                 data.ctrl[:] = queue.pop(0)
                 data.qfrc_applied[0] = push(data.time) if push else 0.0

@@ -55,7 +55,8 @@ def context(loss):
         settings=SearchSettings(numerics=False), numerics_declared=False, progress=lambda what, done: None,
         loss=lambda split, effects: loss({(e.name, e.target) for e in effects}) + noise,
         fit=fit, sim=SimpleNamespace(side_by_side=SideBySide(1)),
-        whitened=lambda split, effects: np.zeros((N, 1)), with_coarse_numerics=lambda effects: effects,
+        whitened=lambda split, effects: np.zeros((N, 1)), with_coarse_numerics=lambda effects, step: effects,
+        coarse_step=lambda split, effects: 0.01,
     )  # fmt: skip
 
 

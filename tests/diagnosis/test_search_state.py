@@ -5,7 +5,7 @@ from dataclasses import FrozenInstanceError, replace
 import mujoco
 import numpy as np
 import pytest
-from arm import ARM, record
+from arm import ARM, DT, record
 
 from idapt_pl.diagnosis.candidates.fit import fit_candidates, split_parameters
 from idapt_pl.diagnosis.prepare import begin_search
@@ -16,6 +16,7 @@ from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.world import Numerics
+from idapt_pl.estimation.least_squares import robust_loss
 
 DAMPING = Candidate(JointDamping, "elbow", ("damping",), (0.0,), (0.1,))
 CENTRE = Candidate(BodyCom, "upper", ("x", "y", "z"), (0.0,) * 3, (0.1,) * 3)
@@ -59,6 +60,34 @@ def test_what_is_left_about_is_exact_where_it_is_anchored_and_for_a_model_withou
     np.testing.assert_allclose(anchored((fine,)), context.whitened(split, (fine,)), atol=1e-9)
     moved = np.abs(exact - context.whitened(split, (fine,))).max()
     assert 0 < np.abs(anchored((fine, damping)) - exact).max() < 0.1 * moved
+
+
+FINE = ARM.replace('timestep="0.004"', 'timestep="0.001"')
+
+
+def test_a_coarse_time_step_does_as_long_as_it_changes_little_of_what_is_left():
+    spec, settings = mujoco.MjSpec.from_string(FINE), SearchSettings(numerics=False)
+
+    def step(hidden, noise):
+        context, state = begin_search(spec, record(hidden, noise=noise, skip=20), settings=settings)
+        return context.coarse_step(state.windows.fit, ())
+
+    heavier = FINE.replace('mass="0.4"', 'mass="0.9"')
+    assert step(heavier, (1e-5, 1e-4)) == pytest.approx(DT / 4), "more is missing than that"
+    assert step(FINE, (1e-6, 1e-5)) == 0.001, "what the coarse step changes is all that is left"
+
+
+def test_a_fit_with_a_coarse_time_step_comes_to_the_same():
+    data = record(FINE.replace('damping="0.02"', 'damping="0.06"'), skip=20)
+    context, state = begin_search(mujoco.MjSpec.from_string(FINE), data, settings=SearchSettings(numerics=False))
+    split = state.windows.fit
+    assert context.coarse_step(split, ()) == pytest.approx(DT / 4)
+    fit, exact = (context.fit(split, (), [DAMPING], [np.zeros(1)], 6, exact=e) for e in (False, True))
+    assert fit.x[0] == pytest.approx(exact.x[0], rel=2e-3)
+    there = context.whitened(split, (DAMPING.effect(fit.x[0]),))
+    np.testing.assert_array_equal(fit.solution.z, there)
+    assert fit.solution.loss == pytest.approx(robust_loss(there).mean())
+    assert context.fit(split, (), [CENTRE], [np.zeros(3)], 6, good_enough=1.0).solution.given_up
 
 
 def test_the_fit_without_an_effect_is_that_of_the_others_or_is_left(started):

@@ -19,17 +19,19 @@ from idapt_pl.diagnosis.answer.change_statistics import (
     time_clusters,
     time_shapes,
 )
+from idapt_pl.diagnosis.answer.parameters_in_time import (
+    ParameterInTime,
+    accepted_parameters,
+    all_windows,
+    other_candidates,
+    windows_in_order,
+)
 from idapt_pl.diagnosis.rounds.gates import LEFT_OVER
 from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.state.context import SearchContext
-from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, refit_accepted
-from idapt_pl.diagnosis.state.search_windows import affordable_windows
-from idapt_pl.effects.candidate import Candidate
-from idapt_pl.effects.runtime import SensingEffect
+from idapt_pl.diagnosis.state.search_state import SearchState, refit_accepted
 from idapt_pl.effects.wording import unit_at
-from idapt_pl.effects.world import ExternalForce
 from idapt_pl.estimation.least_squares import robust_loss
-from idapt_pl.prediction.simulator import Effects
 
 LEVEL = 0.01
 """Share of recordings of what is constant in which a change is reported, over all parameters and kinds of change."""
@@ -43,9 +45,6 @@ MUCH_LEFT = 0.2
 MOST_OF_REST = 0.3
 """Share of what is left that a change over the recordings must explain, so that no law is looked for."""
 
-WINDOWS_LOOKED_AT = 240
-"""Windows that are looked at, at most."""
-
 RIVALS, PIECES, RIVAL_BETTER = 4, 4, 0.03
 """Parameters tried in the place of an accepted one that changes, in how many stretches those that drift get a value of
 their own, and the share of the loss by which one must be better."""
@@ -53,7 +52,6 @@ their own, and the share of the loss by which one must be better."""
 SIMULATED_PIECES = 8
 """Values that stand for a change that is simulated."""
 
-UNTESTED = (SensingEffect, ExternalForce)  # not taken to change where they are not accepted
 SHOWN_STRETCHES = 6
 """Within an episode, for which the values are shown where it changes there."""
 
@@ -108,25 +106,6 @@ class ChangeReport:
 
 
 @dataclass(frozen=True, eq=False)
-class ParameterInTime:
-    """A parameter whose constancy is tested.
-
-    Attributes:
-        candidate: whose it is.
-        k: its number there.
-        value: the best constant one.
-        slopes: d whitened residual / d parameter of all windows in order, (n, rows).
-        accepted: the accepted effect that it belongs to; None for a candidate that is not accepted.
-    """
-
-    candidate: Candidate
-    k: int
-    value: float
-    slopes: np.ndarray
-    accepted: AcceptedEffect | None
-
-
-@dataclass(frozen=True, eq=False)
 class Change:
     """What was found, of which parameter, and how it follows time."""
 
@@ -148,7 +127,7 @@ def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeRepo
         return None, state
     context.progress("does it change?", 0.9)
     z = all_windows(context, state, state.effects, at.order)
-    accepted = accepted_parameters(context, state, at.order, z)
+    accepted = accepted_parameters(context, state, at.order)
     shapes = [s for s in time_shapes(at) if np.ptp(s.f) > 0]
     found = changing_ones(context, state, at, z, accepted, accepted, shapes, clusters)
     tested = len(accepted)
@@ -159,7 +138,7 @@ def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeRepo
             rest = measure_intervals(context, rest)  # the others were fitted anew
             return ChangeReport(tested, [simulated(context, rest, at, rival)]), rest
     if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.finding.removed_share for f in found[:1]) < MOST_OF_REST:
-        others = other_candidates(context, state, at.order, z)
+        others = other_candidates(context, state, at.order)
         tested += len(others)
         found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
         found = [f for f in found if f.finding.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
@@ -179,8 +158,8 @@ def rival_change(
     assert own.parameter.accepted is not None, "one of the accepted effects"
     rest = refit_accepted(context, state.without(own.parameter.accepted))
     z = all_windows(context, rest, rest.effects, at.order)
-    others = other_candidates(context, rest, at.order, z)
-    beside = accepted_parameters(context, rest, at.order, z)
+    others = other_candidates(context, rest, at.order)
+    beside = accepted_parameters(context, rest, at.order)
     rivals = changing_ones(context, rest, at, z, others, beside, shapes, clusters)[:RIVALS]
     losses = context.sim.side_by_side.map(lambda r: loss_in_pieces(context, rest, at, r), rivals)
     best = int(np.argmin(losses)) if rivals else -1
@@ -261,66 +240,6 @@ def changes_over_recordings(changes: ChangeReport | None) -> bool:
     """Whether a change from recording to recording explains much of what is left: no law within one can."""
     found = changes.found if changes is not None else ()
     return any(f.kind in ("drift_over", "step_over") and f.removed_share > MOST_OF_REST for f in found)
-
-
-def windows_in_order(context: SearchContext, state: SearchState) -> WindowTimes:
-    """All windows, fitted and held out; of many every so many."""
-    both = [state.windows.fit.windows, state.windows.held_out.windows]
-    episode, start = (np.concatenate([getattr(w, name) for w in both]) for name in ("episode", "start"))
-    order = np.lexsort((start, episode))
-    data = context.sim.data
-    time = np.array([data[e].time[s] - data[e].time[0] for e, s in zip(episode, start, strict=True)])
-    most = WINDOWS_LOOKED_AT * affordable_windows(context, state.fixed)
-    order = order[:: int(np.ceil(len(order) / most))]
-    return WindowTimes(episode[order], time[order], order)
-
-
-def all_windows(context: SearchContext, state: SearchState, effects: Effects, order: np.ndarray) -> np.ndarray:
-    """Whitened residuals of fitted and held-out windows in order, (n, rows)."""
-    fit, held_out = state.windows.fit, state.windows.held_out
-    first = np.repeat([0, len(fit.windows)], [len(fit.windows), len(held_out.windows)])[order]
-    parts = [(split, np.flatnonzero(first == k)) for split, k in ((fit, 0), (held_out, len(fit.windows)))]
-    z = [context.whitened(split[order[rows] - first[rows]], effects) for split, rows in parts if len(rows)]
-    return np.concatenate(z)[np.argsort(np.concatenate([rows for _, rows in parts]), kind="stable")]
-
-
-def accepted_parameters(
-    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
-) -> list[ParameterInTime]:
-    """Those parameters of accepted effects that say how strong they are."""
-    out = []
-    for n, a in enumerate(state.accepted):
-        for k in range(a.candidate.strength or a.candidate.size):
-            x = [e.copy() for e in state.estimates]
-            x[n][k] += (h := small_step(a.candidate, a.x, k))
-            moved = all_windows(context, state, state.with_estimates(x).effects, order)
-            out.append(ParameterInTime(a.candidate, k, float(a.x[k]), (moved - z) / h, a))
-    return out
-
-
-def other_candidates(
-    context: SearchContext, state: SearchState, order: np.ndarray, z: np.ndarray
-) -> list[ParameterInTime]:
-    """The first parameter of every candidate that is not accepted: at its nominal value."""
-    known = {a.candidate.label for a in state.accepted}
-
-    def first_parameter(c: Candidate) -> ParameterInTime | None:
-        x = np.array(c.nominal, float)
-        taken_back = any(a.candidate.overlaps(c) for a in state.accepted)  # another value of the same element
-        base = all_windows(context, state, (*state.effects, c.effect(x)), order) if taken_back else z
-        x[0] += (h := small_step(c, x, 0))
-        slopes = (all_windows(context, state, (*state.effects, c.effect(x)), order) - base) / h
-        told = np.linalg.norm(slopes) * c.scale[0] > 1.0
-        return ParameterInTime(c, 0, float(c.nominal[0]), slopes, None) if told else None
-
-    others = [c for c in context.candidates if c.label not in known and not issubclass(c.kind, UNTESTED)]
-    return [p for p in context.sim.side_by_side.map(first_parameter, others) if p is not None]
-
-
-def small_step(c: Candidate, x: np.ndarray, k: int) -> float:
-    """A step of a parameter for a slope, inside its bounds."""
-    h = 0.05 * c.scale[k]
-    return -h if x[k] + h > c.bounds()[1][k] else h
 
 
 def describe(

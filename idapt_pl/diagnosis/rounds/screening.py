@@ -26,9 +26,6 @@ from idapt_pl.prediction.whitening import WhitenedWindows, whiten
 DERIVATIVE_STEP = 0.05
 """How slightly: share of a candidate's scale."""
 
-SAME_AT_FIRST_LOOK = 0.02
-"""Share of what is left (squared) that a coarser time step may change in it."""
-
 MANY, SIMULATED, SAMPLED = 250, 40, 16
 """Candidates above which they are ordered by forces first; of the best, and of the others, so many are simulated."""
 
@@ -50,7 +47,7 @@ def screen_candidates(
         round: of the search.
         as_seen_before: for the first look take what candidates change under whatever model that was simulated.
     """
-    step = first_look_step(context, state)
+    step = context.coarse_step(state.windows.scout, state.effects)
     kept = context.responses
     scout = ScoreTest(context, state, state.windows.scout, step, kept, as_seen_before)
     known = {(c.label, c.names) for c in state.candidates}
@@ -67,8 +64,7 @@ def screen_candidates(
     trials = simulate_the_best(context, state, considered, simulate) if many else each(simulate, considered)
     trials.sort(key=penalised_score, reverse=True)
     best, rest = trials[: context.settings.screened], trials[context.settings.screened :]
-    own_step = float(context.sim.model.opt.timestep)
-    screen = ScoreTest(context, state, state.windows.screen, own_step)
+    screen = ScoreTest(context, state, state.windows.screen, context.coarse_step(state.windows.screen, state.effects))
     best = each(lambda t: screen.score(t.candidate, t.x, round), best)
     ratio = len(state.windows.screen.windows) / len(state.windows.scout.windows)
     rest = [replace(t, score=t.score * ratio) for t in rest]
@@ -95,15 +91,6 @@ def simulate_the_best(
     if max(t.score for t in drawn) > MISSED * max(t.score for t in trials):
         return each(simulate, candidates)
     return [*trials, *drawn, *(replace(rough[c], round=trials[0].round) for c in rest if c not in sample)]
-
-
-def first_look_step(context: SearchContext, state: SearchState) -> float:
-    """Time step [s] of a first look: a quarter of the control period, if the model predicts much the same with it."""
-    split, longest = state.windows.scout, context.sim.control_period / 4
-    now = context.whitened(split, state.effects)
-    coarse = context.whitened(split, context.with_coarse_numerics(state.effects, longest))
-    same = np.square(coarse - now).sum() < SAME_AT_FIRST_LOOK * np.square(now).sum()
-    return longest if same else float(context.sim.model.opt.timestep)
 
 
 def starts_of(

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
-from idapt_pl.diagnosis.candidates.fit import CandidateFit, fit_candidates
+from idapt_pl.diagnosis.candidates.fit import CandidateFit, effects_of, fit_candidates
 from idapt_pl.diagnosis.candidates.responses import Responses
 from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.world import Numerics
 from idapt_pl.estimation.least_squares import robust_loss
 from idapt_pl.prediction.data import Windows
+from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.prediction.whitening import WhitenedWindows
+
+SAME_WHEN_COARSE = 0.02
+"""Share of what is left (squared) that a coarser time step may change in it."""
+
+FITS_ABOUT, WORTH_ANOTHER_FIT = 3, 0.005
+"""Fits with a coarse time step one after the other at most, and the share of the loss that another must be about."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and how far along the diagnosis is, 0 to 1."""
@@ -91,9 +98,15 @@ class SearchContext:
     ) -> CandidateFit:
         """Fit candidates to windows. Arguments as of :func:`~idapt_pl.diagnosis.candidates.fit.fit_candidates`.
 
-        Where time steps finer than the model's own were found, slopes are measured with its own, unless they have to
-        be ``exact``.
+        Where a coarser time step predicts much the same from where the fit starts, what parameters change is simulated
+        with it, and what the start leaves without, step by step (:meth:`_fit_about`). Else, where time steps finer than
+        the model's own were found, slopes are measured with its own. Slopes that have to be ``exact`` are measured so.
         """
+        start = (*fixed, *effects_of(candidates, x))
+        if not exact and self.coarse_step(split, start) > float(self.sim.model.opt.timestep):
+            found = self._fit_about(split, fixed, candidates, x, iterations, slopes, good_enough)
+            if found is not None:
+                return found
 
         def residual(effects: Effects) -> np.ndarray:
             return self.whitened(split, effects)
@@ -101,25 +114,71 @@ class SearchContext:
         def coarse(effects: Effects) -> np.ndarray:
             return self.whitened(split, self.with_coarse_numerics(effects))
 
-        cheaper = coarse if self.has_finer_numerics(fixed) and not exact else None
+        cheaper = None if exact or self.with_coarse_numerics(fixed) is fixed else coarse
         everywhere = self.sim.side_by_side.map
         return fit_candidates(
             residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper, everywhere
         )
 
-    def about(self, split: WhitenedWindows, effects: Effects) -> Callable[[Effects], np.ndarray]:
-        """What other effects leave, whitened, about: where finer time steps were found than the model's own.
+    def _fit_about(
+        self,
+        split: WhitenedWindows,
+        fixed: Effects,
+        candidates: Sequence[Candidate],
+        x: Sequence[np.ndarray],
+        iterations: int,
+        slopes: np.ndarray | None,
+        good_enough: float,
+    ) -> CandidateFit | None:
+        """A fit of what is :meth:`about` left, again from where it led as long as that takes away more.
 
-        Then what they change is simulated with its own, and what ``effects`` leave with the finer ones.
+        None where the first of these fits makes matters worse, without coarser time steps.
         """
-        if not self.has_finer_numerics(effects):
-            return lambda e: self.whitened(split, e)
-        now, coarse = (self.whitened(split, e) for e in (effects, self.with_coarse_numerics(effects)))
-        return lambda e: now + self.whitened(split, self.with_coarse_numerics(e)) - coarse
+        best: CandidateFit | None = None
+        loss = float(self.loss(split, (*fixed, *effects_of(candidates, x))).mean())
+        for again in range(FITS_ABOUT):
+            residual = self.about(split, (*fixed, *effects_of(candidates, x)))
+            fit = fit_candidates(
+                residual, fixed, candidates, x, max(iterations - 3 * again, 2), slopes=slopes, good_enough=good_enough,
+                everywhere=self.sim.side_by_side.map,
+            )  # fmt: skip
+            if fit.solution.given_up:
+                return fit
+            z = self.whitened(split, (*fixed, *effects_of(candidates, fit.x)))
+            after = float(robust_loss(z).mean())
+            if after >= loss and best is None:
+                return None
+            if after >= loss:
+                break
+            best = CandidateFit(fit.x, replace(fit.solution, loss=after, z=z))
+            if after > (1 - WORTH_ANOTHER_FIT) * loss or abs(after - fit.solution.loss) < WORTH_ANOTHER_FIT * after:
+                break
+            x, slopes, loss = fit.x, fit.solution.J, after
+        return best
 
-    def has_finer_numerics(self, effects: Effects) -> bool:
-        """Whether effects have time steps so much finer than the model's own that these are worth while."""
-        return self.with_coarse_numerics(effects) is not effects
+    def about(self, split: WhitenedWindows, effects: Effects) -> Callable[[Effects], np.ndarray]:
+        """What other effects leave, whitened, about: where a coarser time step will do.
+
+        Then what they change is simulated with that, and what ``effects`` leave without.
+        """
+        step = self.coarse_step(split, effects)
+        if self.with_coarse_numerics(effects, step) is effects:
+            return lambda e: self.whitened(split, e)
+        now, coarse = (self.whitened(split, e) for e in (effects, self.with_coarse_numerics(effects, step)))
+        return lambda e: now + self.whitened(split, self.with_coarse_numerics(e, step)) - coarse
+
+    def coarse_step(self, split: WhitenedWindows, effects: Effects) -> float:
+        """Time step [s] that will do for what others change in predictions, at least the model's own.
+
+        That is a quarter of the control period, where predictions under some effects are much the same with it.
+        """
+        longest, own = self.sim.control_period / 4, float(self.sim.model.opt.timestep)
+        coarser = self.with_coarse_numerics(effects, longest)
+        if coarser is effects or judges_forces(split):
+            return own
+        now = self.whitened(split, effects)
+        same = np.square(self.whitened(split, coarser) - now).sum() < SAME_WHEN_COARSE * np.square(now).sum()
+        return longest if same else own
 
     @property
     def numerics_declared(self) -> bool:

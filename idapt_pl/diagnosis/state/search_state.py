@@ -103,15 +103,17 @@ def renew(context: SearchContext, state: SearchState) -> SearchState:
 def slopes_of_accepted(context: SearchContext, state: SearchState, split: WhitenedWindows) -> np.ndarray:
     """How residuals depend on the parameters of what was accepted, (n rows, p), for fits with one candidate more.
 
-    Measured with the model's own time step where a finer one was found.
+    Measured with a coarser time step where that will do.
     """
     if not state.accepted:
         return np.zeros((context.whitened(split, state.effects).size, 0))
 
+    step = context.coarse_step(split, state.effects)
+
     def at(x: np.ndarray) -> np.ndarray:
         parts = split_parameters(state.candidates, x)
         effects = (*state.fixed, *effects_of(state.candidates, parts))
-        return context.whitened(split, context.with_coarse_numerics(effects))
+        return context.whitened(split, context.with_coarse_numerics(effects, step))
 
     x = np.concatenate(state.estimates)
     return jacobian(at, x, at(x), parameter_box(state.candidates), everywhere=context.sim.side_by_side.map)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idapt_pl.diagnosis.state.context import SearchContext
+from idapt_pl.diagnosis.state.context import SAME_WHEN_COARSE, SearchContext
 from idapt_pl.prediction.data import Windows, sample_windows
 from idapt_pl.prediction.force_windows import judged_by_forces
 from idapt_pl.prediction.noise import Noise, estimate_noise
@@ -124,8 +124,18 @@ def measure_sensitivity(
     held_out = cut_windows_for(
         context, structure.fixed, context.held_out_episodes, s.held_out_windows, context.seed + 2
     )
-    at = [initial_sensitivity(sim, effects, w, noise.start) for w in (fit, held_out)]
-    return WindowSensitivity(structure, sim.residual(effects, fit), fit, held_out, *at)
+    left, coarser = sim.residual(effects, fit), context.with_coarse_numerics(effects, sim.control_period / 4)
+    if coarser is not effects and not leave_the_same(noise, left, sim.residual(coarser, fit)):
+        coarser = effects
+    at = [initial_sensitivity(sim, coarser, w, noise.start) for w in (fit, held_out)]
+    return WindowSensitivity(structure, left, fit, held_out, *at)
+
+
+def leave_the_same(noise: Noise, left: np.ndarray, other: np.ndarray) -> bool:
+    """Whether residuals (n, j, channels) are much the same, in units of the sensors' noise."""
+    return bool(
+        np.square((other - left) / noise.sensors).sum() < SAME_WHEN_COARSE * np.square(left / noise.sensors).sum()
+    )
 
 
 def still_hold(
