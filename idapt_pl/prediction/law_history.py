@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from scipy.linalg import solve_banded
 
 from idapt_pl.effects.acting import ActingForces, MotionNow, joint_signals
 from idapt_pl.effects.base import Effect
@@ -34,7 +35,7 @@ class LawsInWindows:
         self.memory = np.zeros((len(windows), 0))
         if self.acting.memories:
             past = remembered(ActingForces(recorded, effects), commands.data, commands.at_samples(effects))
-            self.memory = past[windows.episode, windows.start]
+            self.memory = np.stack([past[e][k] for e, k in zip(windows.episode, windows.start, strict=True)])
         self.before: list[JointSignals] = []
         self.time = np.zeros(len(windows))
 
@@ -52,30 +53,32 @@ class LawsInWindows:
         return self.acting.forces(signals, self.memory)
 
 
-def remembered(acting: ActingForces, data: Sequence[Recording], commands: Sequence[np.ndarray]) -> np.ndarray:
-    """What laws remember at every sample of every recording, from what was measured: (recordings, samples, memories).
+def remembered(acting: ActingForces, data: Sequence[Recording], commands: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What laws remember at every sample of every recording, from what was measured: (samples, memories) each.
 
-    All are gone through side by side; the last sample of a shorter one is repeated. ``commands``: as they arrive, of
-    each recording, (T + 1, nu).
+    All are gone through at once, one after the other. ``commands``: as they arrive, of each recording, (T + 1, nu).
     """
-    samples = max(len(r) for r in data) + 1
-    time, qpos, qvel, arriving = (
-        np.stack([x[np.minimum(np.arange(samples), len(x) - 1)] for x in each])
+    samples = [len(r.time) for r in data]
+    time, q, v, u = (
+        np.concatenate(each)
         for each in zip(
-            *((r.time - r.time[0], r.qpos, r.qvel, u) for r, u in zip(data, commands, strict=True)), strict=True
+            *((r.time - r.time[0], r.qpos, r.qvel, c) for r, c in zip(data, commands, strict=True)), strict=True
         )
     )
-    rows = len(data) * samples
-    q, v, u = (x.reshape(rows, x.shape[-1]) for x in (qpos, qvel, arriving))
-    all_samples = MotionNow(q, v, u, np.zeros((rows, acting.model.na)), time.ravel())
-    every = [joint_signals(acting.model, j, all_samples, None, None) for _, j in acting.pairs]
-    seen = [{name: x.reshape(len(data), samples) for name, x in signals.items()} for signals in every]
-    before: list[JointSignals] = [{name: x[:, :-1] for name, x in signals.items()} for signals in seen]
-    now: list[JointSignals] = [{name: x[:, 1:] for name, x in signals.items()} for signals in seen]
+    rows, goes_on = len(time), np.ones(len(time) - 1, bool)
+    goes_on[np.cumsum(samples)[:-1] - 1] = False
+    seconds = np.where(goes_on, np.diff(time), 1.0)
+    seen = MotionNow(q, v, u, np.zeros((rows, acting.model.na)), time)
+    every = [joint_signals(acting.model, j, seen, None, None) for _, j in acting.pairs]
+    before: list[JointSignals] = [{name: x[:-1] for name, x in signals.items()} for signals in every]
+    now: list[JointSignals] = [{name: x[1:] for name, x in signals.items()} for signals in every]
     # what laws remember after a step is linear in what they remembered before: kept · before + new
-    out = np.zeros((len(data), samples, acting.memories))
-    new = acting.remember(before, now, np.zeros_like(out[:, 1:]), np.diff(time))
-    kept = acting.remember(before, now, np.ones_like(out[:, 1:]), np.diff(time)) - new
-    for k in range(samples - 1):
-        out[:, k + 1] = kept[:, k] * out[:, k] + new[:, k]
-    return out
+    nothing = np.zeros((rows - 1, acting.memories))
+    new = acting.remember(before, now, nothing, seconds)
+    kept = acting.remember(before, now, nothing + 1, seconds) - new
+    kept[~goes_on], new[~goes_on] = 0.0, 0.0
+    steps = np.zeros((2, acting.memories, rows))  # every memory in a row of its own, as one system of equations
+    steps[0, :, :-1], steps[1, :, 1:] = kept.T, new.T
+    bands = np.stack([np.ones(steps[0].size), -steps[0].ravel()])
+    past = solve_banded((1, 0), bands, steps[1].ravel(), check_finite=False)
+    return np.split(past.reshape(acting.memories, rows).T, np.cumsum(samples)[:-1])

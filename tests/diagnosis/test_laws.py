@@ -125,7 +125,7 @@ def test_what_a_law_remembers_when_a_window_begins_is_what_was_measured_before()
     expected = np.zeros(len(r) + 1)
     for k in range(len(r)):
         expected[k + 1] = expected[k] + (1 - np.exp(-0.02 / 0.1)) * (r.actions[k, 0] - expected[k])
-    np.testing.assert_allclose(past[1, : len(r) + 1, 0], expected, atol=1e-9)
+    np.testing.assert_allclose(past[1][:, 0], expected, atol=1e-9)
 
 
 def test_terms_are_formulas_of_the_grammar_and_have_units():

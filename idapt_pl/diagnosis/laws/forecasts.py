@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
 
-from idapt_pl.diagnosis.laws.terms import JointSizes, Term
+from idapt_pl.diagnosis.laws.terms import JointSizes, Term, dictionary
 from idapt_pl.diagnosis.rounds.screening import ScoreTest
 
 REFINEMENT_TRIALS = 40
@@ -64,6 +65,11 @@ class JointForecasts:
         if not (np.linalg.norm(left, axis=0) > FLAT * np.linalg.norm(plain, axis=0) + 1e-12).all():
             return None
         return TermColumns(tuple(terms), left, np.sqrt(np.mean(np.square(values), (1, 2))) + 1e-12)
+
+    @functools.cached_property
+    def single_terms(self) -> list[TermColumns]:
+        """What each term of the dictionary does, of those that do something of their own."""
+        return [at for term in dictionary(self.sizes) if (at := self.columns([term]))]
 
     def score(self, at: TermColumns) -> float:
         """Squared residual that the best amplitudes remove, in units of what noise leaves."""

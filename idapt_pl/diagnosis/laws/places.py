@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from idapt_pl.diagnosis.laws.forecasts import JointForecasts, regress
-from idapt_pl.diagnosis.laws.terms import Term, dictionary, of_position
+from idapt_pl.diagnosis.laws.terms import Term, of_position
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState
 from idapt_pl.effects.candidate import mechanical_joints
@@ -65,10 +65,9 @@ def residual_places(
 
 def of_force(f: JointForecasts) -> ResidualPlace | None:
     """The best single term of a force on a joint."""
-    tried = [at for term in dictionary(f.sizes) if (at := f.columns([term]))]
-    if not tried:
+    if not f.single_terms:
         return None
-    best = max(tried, key=lambda at: regress(at.columns, f.test.left)[1])
+    best = max(f.single_terms, key=lambda at: regress(at.columns, f.test.left)[1])
     share = regress(best.columns, f.test.left)[1] / max(f.test.total, 1e-12)
     return place(f, "force", best.terms[0], share)
 

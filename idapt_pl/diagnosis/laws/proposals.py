@@ -11,7 +11,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidates.listing import typical_sizes
 from idapt_pl.diagnosis.laws.candidate import LawCandidate, inner_span, law_candidate
 from idapt_pl.diagnosis.laws.forecasts import JointForecasts, TermColumns, regress
-from idapt_pl.diagnosis.laws.terms import JointSizes, Term, dictionary, joint_sizes
+from idapt_pl.diagnosis.laws.terms import JointSizes, Term, joint_sizes
 from idapt_pl.diagnosis.rounds.force_response import PUSH, force_response, measured_signals_of, term_values
 from idapt_pl.diagnosis.rounds.screening import ScoreTest
 from idapt_pl.diagnosis.state.context import SearchContext
@@ -110,21 +110,19 @@ def by_merit(f: JointForecasts, found: Iterable[TermColumns]) -> list[TermColumn
 
 def best_singles(f: JointForecasts) -> list[TermColumns]:
     """Every shape with one term, at the best of its starts; best first."""
-    tried = [at for term in dictionary(f.sizes) if (at := f.columns([term]))]
     best: dict[str, TermColumns] = {}
-    for at in by_merit(f, tried):
+    for at in by_merit(f, f.single_terms):
         best.setdefault(at.terms[0].text, at)
     return list(best.values())
 
 
 def best_pairs(f: JointForecasts, firsts: Sequence[TermColumns]) -> list[TermColumns]:
     """The best second terms beside some first ones."""
-    every = [at for term in dictionary(f.sizes) if (at := f.columns([term]))]
     found: dict[frozenset[str], TermColumns] = {}
     for first in firsts:
         Q = np.linalg.qr(first.columns)[0]
         rest = project_out(Q, f.test.left[:, None])[:, 0]
-        gains = [(regress(project_out(Q, at.columns), rest)[1], at) for at in every]
+        gains = [(regress(project_out(Q, at.columns), rest)[1], at) for at in f.single_terms]
         shapes: dict[str, TermColumns] = {}
         for _, at in sorted(gains, key=lambda g: -g[0]):
             if first.terms[0].size + at.terms[0].size <= len(COEFFICIENTS):

@@ -25,6 +25,8 @@ def force_response(
 ) -> np.ndarray:
     """D whitened residual / d force on a degree of freedom in a control step of the window, (n, rows, dofs, steps).
 
+    With a coarse time step where that does.
+
     Args:
         context: of the search.
         state: the current model.
@@ -33,13 +35,14 @@ def force_response(
         size: of the trial force on each, (d,).
     """
     sim, n, steps = context.sim, len(split.windows), context.steps
-    base = sim.residual(state.effects, split.windows)
+    effects = context.with_coarse_numerics(state.effects, context.coarse_step(split, state.effects))
+    base = sim.residual(effects, split.windows)
 
     def respond(pushed: tuple[int, float, int]) -> np.ndarray:
         v, force, k = pushed
         push = np.zeros((n, steps, sim.model.nv))
         push[:, k, v] = force
-        return whiten(split.W, sim.residual(state.effects, split.windows, push=push) - base) / force
+        return whiten(split.W, sim.residual(effects, split.windows, push=push) - base) / force
 
     every = [(v, force, k) for v, force in zip(dofs, size, strict=True) for k in range(steps)]
     responses = np.stack(sim.side_by_side.map(respond, every), -1)
@@ -100,6 +103,6 @@ def term_values(
         acting, sim = ActingForces(context.sim.model, [law]), context.sim
         past = remembered(acting, sim.data, sim.commands.at_samples(effects))
         at = windows.start[:, None] + np.arange(steps + 1)
-        samples = past[windows.episode[:, None], at]
+        samples = np.stack([past[e][k] for e, k in zip(windows.episode, at, strict=True)])
         memory = 0.5 * (samples[:, 1:] + samples[:, :-1])
     return np.broadcast_to(expression.value(seen.now, memory), shape)
