@@ -88,7 +88,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
         "estimator": 0.002 * config.feeding.state_predictor_batch * lengths.estimator * area,
         "control": 0.005 * s.images * looks,
         "effects": 250.0 * looks,
-        "known_start_search": 500.0 * (looks and config.effects.refine),
+        "known_start_search": 250.0 * (looks and config.effects.refine),
         "dynamics": 0.004 * config.feeding.garat_rollout * lengths.dynamics * (k > 0 and s.action_transformation),
         "teacher": 0.008 * t.adapt * (looks or (k > 0 and s.action_transformation)),
         "evaluation": 50.0,
@@ -101,7 +101,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.poses.spread:
         costs |= {"moved": 0.006 * config.poses.images * area, "moved_translated": 0.004 * config.poses.images * area}
     if config.labels.members:
-        costs |= {"reading_errors": 30.0, "lost": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
+        costs |= {"reading_errors": 20.0, "lost": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
     if config.labels.replays:
         costs["estimator_replayed"] = costs["estimator"]

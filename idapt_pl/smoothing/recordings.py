@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from queue import SimpleQueue
 
 import numpy as np
 
 from idapt_pl.effects import Domain
 from idapt_pl.prediction.data import position_difference
 from idapt_pl.prediction.side_by_side import SideBySide
-from idapt_pl.smoothing.ensemble import SimulatedEnsemble
+from idapt_pl.smoothing.ensemble import SimulatedEnsemble, with_longer_steps
 from idapt_pl.smoothing.fixed_lag import (
     POSITION_NOISE,
     VELOCITY_NOISE,
@@ -77,6 +78,7 @@ class RecordingSmoother:
         threads: recordings smoothed at a time; results do not depend on it.
         starts: states that recordings begin in, (k, s); None where they begin anywhere. What is known there stays known
             for a while, however wrong readings are.
+        roughly: with longer physics steps where these do (:func:`~idapt_pl.smoothing.ensemble.with_longer_steps`).
     """
 
     task: Task
@@ -86,15 +88,24 @@ class RecordingSmoother:
     lag: int
     threads: int = 1
     starts: np.ndarray | None = None
+    roughly: bool = False
 
     def __call__(self, recordings: Sequence[ReadRecording], seed: int) -> list[Smoothed]:
         """Smooth recordings; ``seed`` is of the ensembles."""
-        model = self.domain.compile()
+        task, model = self.task, self.domain.compile()
+        if self.roughly:
+            task, model = with_longer_steps(task, model)
+        idle: SimpleQueue[SimulatedEnsemble] = SimpleQueue()  # making one takes as long as a second of simulation
+        for _ in range(max(1, min(self.threads, len(recordings)))):
+            idle.put(SimulatedEnsemble(task, self.domain, self.members, model))
 
         def smooth(k: int) -> Smoothed:
-            ensemble = SimulatedEnsemble(self.task, self.domain, self.members, model)
-            known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k, self.starts)
-            return smooth_episode(known, recordings[k].readings, recordings[k].actions)
+            ensemble = idle.get()
+            try:
+                known = EnsembleFilter(ensemble, self.expected, self.lag, seed + k, self.starts)
+                return smooth_episode(known, recordings[k].readings, recordings[k].actions)
+            finally:
+                idle.put(ensemble)
 
         return SideBySide(self.threads).map(smooth, range(len(recordings)))
 

@@ -39,8 +39,9 @@ RECORDINGS_FRESH, FRESH_LEAST = 60, 20
 was chosen, so a gain need not make up for being the best of many ..."""
 FRESH_GAIN_SHARE = GAIN_SHARE / 2
 """... and half as much is enough, as long as it is as sure."""
-RECORDINGS_GLANCED, RECORDINGS_TRIED = 3, 12
-"""With which all candidates are tried first, and then those that did best."""
+RECORDINGS_GLANCED, RECORDINGS_TRIED, MEMBERS_SCREENED = 3, 12, 6
+"""With which all candidates are tried first, and then those that did best; and how many simulations follow each. From
+one recording to the next forecasts differ by more than the mean of few simulations from that of many."""
 STAYING, STAYING_LEAST = 0.25, 8
 """Share of the candidates that stay after the first glance, and how many at least."""
 JUDGED = 3
@@ -171,10 +172,11 @@ def screened(candidates: Sequence[Candidate], of_target: KnownStartForecasts) ->
 
     All are tried on a few recordings, and those that do best there on more.
     """
-    glanced = at_their_best(candidates, of_target.first(RECORDINGS_GLANCED))
+    by_few = of_target.first(RECORDINGS_TRIED).roughly(MEMBERS_SCREENED)
+    glanced = at_their_best(candidates, by_few.first(RECORDINGS_GLANCED))
     staying = glanced[: max(STAYING_LEAST, round(STAYING * len(glanced)))]
-    without = mean_error(of_target.first(RECORDINGS_TRIED)([]))
-    tried = at_their_best([c for c, _, _ in staying], of_target.first(RECORDINGS_TRIED))
+    without = mean_error(by_few([]))
+    tried = at_their_best([c for c, _, _ in staying], by_few)
     return [found for found in tried if found[2] < without]
 
 

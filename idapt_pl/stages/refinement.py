@@ -97,6 +97,10 @@ class KnownStartForecasts:
         """Of so many recordings."""
         return replace(self, recordings=self.recordings[:recordings])
 
+    def roughly(self, members: int) -> KnownStartForecasts:
+        """With so many simulations that follow each recording, and longer physics steps where these do."""
+        return replace(self, smooth=replace(self.smooth, members=members, roughly=True))
+
     def beyond(self, recordings: int) -> KnownStartForecasts:
         """Of those after so many."""
         return replace(self, recordings=self.recordings[recordings:])

@@ -16,6 +16,7 @@ from idapt_pl.smoothing import (
     reading_model,
     smooth_episode,
 )
+from idapt_pl.smoothing.ensemble import with_longer_steps
 from idapt_pl.tasks import make_task
 
 
@@ -164,6 +165,29 @@ def test_threads_and_neighbours_change_nothing(task, recording):
     alone = RecordingSmoother(task, task.domain("source"), expected, 16, 3)([short], 0)[0]
     both = RecordingSmoother(task, task.domain("source"), expected, 16, 3, threads=2)([short, read.first(8)], 0)
     np.testing.assert_array_equal(alone.states, both[0].states)
+
+
+def test_longer_steps_bring_a_walker_in_flight_to_the_same_place():
+    task = make_task("walker2d")
+    model = task.domain("source").compile()
+    states, actions = played(task, task.domain("source"), 5, 0)
+    quick, longer = with_longer_steps(task, model)
+    assert (quick.frame_skip, longer.opt.timestep) == (task.frame_skip / 2, 2 * model.opt.timestep)
+    assert quick.period(longer) == pytest.approx(task.period(model))
+    begun = states[:1] + np.array([[1.0, *[0.0] * 16]])  # a metre above the floor
+    after = []
+    for t, m in ((task, model), (quick, longer)):
+        ensemble = SimulatedEnsemble(t, task.domain("source"), 1, m)
+        ensemble.put(ensemble.begin(begun))
+        velocities = ensemble.advance(actions[0])[0, model.nv :]
+        after.append(np.concatenate([ensemble.origin, velocities]))
+    np.testing.assert_allclose(after[1], after[0], atol=1e-3)
+    assert np.abs(after[0][model.nq :]).max() > 1, "it moves"
+
+
+def test_models_of_other_integrators_keep_their_steps(task):
+    model = task.domain("source").compile()
+    assert with_longer_steps(task, model) == (task, model)
 
 
 def test_an_ensemble_that_blew_up_altogether_stays_where_it_was_and_goes_on(task, recording, monkeypatch):

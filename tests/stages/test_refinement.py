@@ -12,6 +12,7 @@ from idapt_pl.effects.joints import JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
 from idapt_pl.stages.known_start_search import (
+    MEMBERS_SCREENED,
     RECORDINGS_GLANCED,
     RECORDINGS_TRIED,
     KnownStartSearch,
@@ -108,13 +109,17 @@ def test_steps_that_G_learned_as_pairs_hide_what_is_missing_and_are_not_judged()
 class Counted:
     """Forecasts of so many recordings, best where a torso weighs what the third of ten candidates says."""
 
-    def __init__(self, recordings, asked):
-        self.recordings, self.asked = recordings, asked
+    def __init__(self, recordings, asked, members=16):
+        self.recordings, self.asked, self.members = recordings, asked, members
 
     def first(self, recordings):
-        return Counted(recordings, self.asked)
+        return Counted(recordings, self.asked, self.members)
+
+    def roughly(self, members):
+        return Counted(self.recordings, self.asked, members)
 
     def __call__(self, effects):
+        assert self.members == MEMBERS_SCREENED
         self.asked.append((self.recordings, effects[0].target if effects else None))
         number = int(effects[0].target) if effects else 20
         return np.full(self.recordings, 0.1 * abs(number - 3))
@@ -141,6 +146,9 @@ class OfTwoKinds:
 
     def beyond(self, recordings):
         return OfTwoKinds(self.gains[recordings:])
+
+    def roughly(self, members):
+        return self
 
     def __call__(self, effects):
         noise = np.random.default_rng(len(self.gains)).normal(0, 1e-3, len(self.gains))
