@@ -6,8 +6,9 @@
 
 A method is a preset over a config: ``idapt fit --config configs/<config>.yaml --config configs/presets/<method>.yaml``;
 ``idapt`` is the config as it is. Finished runs are not repeated. Writes results/baselines.csv: ``mean`` and ``std`` are
-of the run's last policy in the target, ``target_interactions`` what it trained with there, ``reference_interactions``
-those of the oracle. Failures stay in the table.
+of the run's last policy in the target, ``trained`` what a policy of the source alone (``method: source``) has in the
+worlds that it trained in, ``target_interactions`` what it trained with there, ``reference_interactions`` those of the
+oracle. Failures stay in the table.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ METHODS = (
 LOCOMOTION = ("data_backwards", "data_random_backwards_expert")
 """Beside them, of robots that can walk backwards."""
 FIELDS = (
-    "config", "task", "target", "method", "seed", "metric", "mean", "std", "episodes", "target_interactions",
+    "config", "task", "target", "method", "seed", "metric", "mean", "std", "episodes", "trained", "target_interactions",
     "reference_interactions", "minutes", "threads", "commit", "cpu",
 )  # fmt: skip
 
@@ -52,6 +53,7 @@ def row(folder: Path, config: str, method: str) -> dict:
         "mean": round(summary["result"], 2),
         "std": round(measured["std"], 2),
         "episodes": summary["episodes"],
+        "trained": trained(folder) if summary["method"] == "source" else "",
         "target_interactions": summary["target_interactions"],
         "reference_interactions": sum(e["count"] for e in ledger["entries"] if e["purpose"] == "oracle reference"),
         "minutes": round(summary["wall_s"] / 60, 1),
@@ -59,6 +61,12 @@ def row(folder: Path, config: str, method: str) -> dict:
         "commit": provenance["git_commit"],
         "cpu": provenance["cpu"],
     }
+
+
+def trained(folder: Path) -> float | str:
+    """What the source's policy had in trials where it trained, if there were any."""
+    notes = json.loads((folder / "step_00/source_policy/stage.json").read_text())
+    return notes.get("trial_after", "")
 
 
 def last_evaluation(folder: Path) -> dict:

@@ -4,6 +4,7 @@
     python benchmarks/tables.py easy      # the same of the easy targets; quick: of the quick configs
     python benchmarks/tables.py cheetah   # every run of HalfCheetah, version by version; likewise the other tasks
     python benchmarks/tables.py kept      # what the target keeps of the return in the grounded source, run by run
+    python benchmarks/tables.py baselines  # the paper's baselines and ablations beside the method
     python benchmarks/tables.py cost      # what diagnoses simulate
     python benchmarks/tables.py own       # sources and targets of others
     python benchmarks/tables.py next      # recordings until a diagnosis names one effect
@@ -44,6 +45,13 @@ SHOWN = (
 """Rows of README's table: task, its tables, and which of their rows. The rest is in the table of every run."""
 FIRST_STEPS = {"cheetah_quick": ("cheetah_hard", 1, 5000), "walker_quick": ("walker_hard", 1, 5000)}
 """Configs that are another one's first grounding steps: its table, how many, the target's control steps up to there."""
+
+
+PAPER_NAMES = {
+    "dr_paper_narrow": "DR-Narrow", "dr_wide": "DR-Wide", "adaptive_rl": "Adaptive RL", "cc_state": "CC-State",
+    "cc_image": "CC-Image", "visual_only": "Visual Only", "idapt": "IDAPT", "paper_small": "IDAPT",
+}  # fmt: skip
+"""Presets and what the paper calls the like."""
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -117,13 +125,14 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def rows_of(table: str, wanted: Row, results: Path) -> list[dict]:
-    """The rows of a config's table that have these values; of a config that another begins with, that one's."""
+    """The rows of a config's table that have these values; of a config that another begins with, that one's too."""
     mine = chosen(read_rows(results / f"{table}.csv"), wanted)
-    if mine or table not in FIRST_STEPS:
+    if table not in FIRST_STEPS:
         return mine
     longer, steps, interactions = FIRST_STEPS[table]
+    own = {row["seed"] for row in mine}
     first = [row for row in rows_of(longer, wanted, results) if int(row["grounding_step"] or 0) <= steps]
-    return [row | {"target_interactions": str(interactions)} for row in first]
+    return [row | {"target_interactions": str(interactions)} for row in first if row["seed"] not in own] + mine
 
 
 def summary(results: Path = RESULTS, size: str = "hard") -> str:
@@ -199,6 +208,23 @@ def every_run(results: Path = RESULTS, name: str = "cheetah") -> str:
     return markdown(("table", "run", "seeds", "direct transfer", "step 0", "last step", "commits", "CPU"), lines)
 
 
+def baselines(results: Path = RESULTS) -> str:
+    """A row for each config and method that was run beside others, in the order of their presets' table."""
+    rows, lines = read_rows(results / "baselines.csv"), []
+    for config, method in dict.fromkeys((r["config"], r["method"]) for r in rows):
+        mine = sorted(chosen(rows, {"config": config, "method": method}), key=lambda r: int(r["seed"]))
+        metric, paper = mine[0]["metric"], PAPER_RESULTS[mine[0]["task"], mine[0]["target"]]
+        steps = max(int(r["target_interactions"]) for r in mine)
+        of_oracle = max(int(r["reference_interactions"]) for r in mine)
+        told = paper.get(PAPER_NAMES.get(method, ""), "")
+        lines.append((
+            f"`{config}`", f"`{method}`", " ".join(r["seed"] for r in mine),
+            mean_and_interval([float(r["mean"]) for r in mine], metric),
+            f"{of_oracle:,} of the oracle" if of_oracle else f"{steps:,}", str(told), versions(mine),
+        ))  # fmt: skip
+    return markdown(("config", "method", "seeds", "mean in the target", "target steps", "paper", "commits"), lines)
+
+
 def search_cost(results: Path = RESULTS) -> str:
     """What diagnoses simulate, of the earliest version and the latest: cases that have rows of two."""
     rows, lines = read_rows(results / "search_cost.csv"), []
@@ -269,6 +295,7 @@ TABLES: Mapping[str, Callable[[Path], str]] = {
     "easy": functools.partial(summary, size="easy"),
     "quick": functools.partial(summary, size="quick"),
     "kept": kept,
+    "baselines": baselines,
     "cost": search_cost,
     "own": own_worlds,
     "next": next_recordings,

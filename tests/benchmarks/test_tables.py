@@ -45,6 +45,30 @@ def test_a_config_that_another_begins_with_has_its_first_steps(tmp_path):
     assert line == "| `walker_quick`, return | 1 | 5,000 | 1 | 2 | 3 | 10 | 1930 |"
 
 
+def test_a_config_that_another_begins_with_has_its_own_seeds_besides(tmp_path):
+    head = (walkers(tmp_path, 6000, 2) / "walker_hard.csv").read_text().splitlines()[0]
+    own = [f"walker2d,IDAPT,{row},5000" for row in ("direct transfer,0,,10", "visual only,0,0,20", "IDAPT,0,1,30")]
+    other = [f"walker2d,IDAPT,{row},5000" for row in ("direct transfer,7,,10", "visual only,7,0,20", "IDAPT,7,1,30")]
+    (tmp_path / "walker_quick.csv").write_text("\n".join([head, *other, ""]))
+    (line,) = tables.summary(tmp_path, "quick").splitlines()[2:]
+    assert line == "| `walker_quick`, return | 2 | 5,000 | 1, 10 | 2, 20 | 3, 30 | 10 | 1930 |"
+    (tmp_path / "walker_quick.csv").write_text("\n".join([head, *own, ""]))
+    (line,) = tables.summary(tmp_path, "quick").splitlines()[2:]
+    assert line == "| `walker_quick`, return | 1 | 5,000 | 10 | 20 | 30 | 10 | 1930 |", "a seed counts once"
+
+
+def test_baselines_stand_beside_what_the_paper_has(tmp_path):
+    measured = [("oracle", 0, 1000, 0, 12500), ("dr_wide", 1, 30, 0, 0), ("dr_wide", 0, 20, 0, 0),
+                ("dr_wide", 2, 40, 0, 0), ("dr_narrow", 0, 7, 0, 0)]  # fmt: skip
+    rows = [f"quick,inverted_pendulum,hard,{m},{seed},return,{x},{n},{o},abcdef012" for m, seed, x, n, o in measured]
+    head = "config,task,target,method,seed,metric,mean,target_interactions,reference_interactions,commit"
+    (tmp_path / "baselines.csv").write_text("\n".join([head, *rows, ""]))
+    oracle, wide, narrow = tables.baselines(tmp_path).splitlines()[2:]
+    assert oracle == "| `quick` | `oracle` | 0 | 1000 | 12,500 of the oracle |  | abcdef0 |"
+    assert wide == "| `quick` | `dr_wide` | 0 1 2 | 30 ± 25 | 0 | 124 | abcdef0 |"
+    assert narrow == "| `quick` | `dr_narrow` | 0 | 7 | 0 |  | abcdef0 |"
+
+
 def test_each_version_of_a_pair_of_worlds_has_a_row_beside_its_target_s_oracle(tmp_path):
     measured = [("IDAPT", 0, "", 1), ("IDAPT", 0, 0, 2), ("IDAPT", 0, 1, 3), ("IDAPT", 1, "", 5), ("IDAPT", 1, 0, 6),
                 ("IDAPT", 1, 2, 7), ("first", 2, "", 8), ("first", 2, 0, 9), ("oracle", 0, "", 10)]  # fmt: skip
