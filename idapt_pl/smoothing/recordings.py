@@ -95,7 +95,7 @@ class RecordingSmoother:
         task, model = self.task, self.domain.compile()
         if self.roughly:
             task, model = with_longer_steps(task, model)
-        idle: SimpleQueue[SimulatedEnsemble] = SimpleQueue()  # making one takes as long as a second of simulation
+        idle: SimpleQueue[SimulatedEnsemble] = SimpleQueue()  # each is as long in the making as 40 steps
         for _ in range(max(1, min(self.threads, len(recordings)))):
             idle.put(SimulatedEnsemble(task, self.domain, self.members, model))
 

@@ -165,6 +165,8 @@ def test_threads_and_neighbours_change_nothing(task, recording):
     alone = RecordingSmoother(task, task.domain("source"), expected, 16, 3)([short], 0)[0]
     both = RecordingSmoother(task, task.domain("source"), expected, 16, 3, threads=2)([short, read.first(8)], 0)
     np.testing.assert_array_equal(alone.states, both[0].states)
+    smooth = RecordingSmoother(task, task.domain("source"), expected, 16, 3)
+    np.testing.assert_array_equal(smooth([short], 1)[0].states, smooth([read.first(8), short], 0)[1].states)
 
 
 def test_longer_steps_bring_a_walker_in_flight_to_the_same_place():
