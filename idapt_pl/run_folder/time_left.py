@@ -101,7 +101,7 @@ def step_costs(config: Any, k: int) -> dict[str, float]:
     if config.poses.spread:
         costs |= {"moved": 0.006 * config.poses.images * area, "moved_translated": 0.004 * config.poses.images * area}
     if config.labels.members:
-        costs |= {"reading_errors": 20.0, "lost": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
+        costs |= {"reading_errors": 30.0, "lost": 0.00014 * config.labels.members * (s.images + k * s.interactions)}
         costs["reading_offsets"] = 150.0 * config.labels.offsets
     if config.labels.replays:
         costs["estimator_replayed"] = costs["estimator"]

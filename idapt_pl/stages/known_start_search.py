@@ -40,8 +40,8 @@ was chosen, so a gain need not make up for being the best of many ..."""
 FRESH_GAIN_SHARE = GAIN_SHARE / 2
 """... and half as much is enough, as long as it is as sure."""
 RECORDINGS_GLANCED, RECORDINGS_TRIED, MEMBERS_SCREENED = 3, 12, 6
-"""With which all candidates are tried first, and then those that did best; and how many simulations follow each. From
-one recording to the next forecasts differ by more than the mean of few simulations from that of many."""
+"""With which all candidates are tried first, and then those that did best; and how many simulations follow each.
+Three more recordings change the error of a forecast by more than ten more simulations (docs/decisions/086)."""
 STAYING, STAYING_LEAST = 0.25, 8
 """Share of the candidates that stay after the first glance, and how many at least."""
 JUDGED = 3

@@ -157,8 +157,7 @@ def reading_error_factor(
     shown = replace(data, episodes=tuple(map(G.translate_episode, first_episodes(data))))
     recordings = recordings_of(shown, sensor, c.worlds.frame_stack)
     states = [e.observations["state"] for e in shown]
-    rough = replace(smooth, domain=c.worlds.first_source, roughly=True)  # which factor is chosen hangs on no impact
-    errors = rough.state_errors(recordings, states, scale, seed)
+    errors = replace(smooth, domain=c.worlds.first_source).state_errors(recordings, states, scale, seed)
     return {"factor": most_that_is_bearable(errors), "state_errors": list(errors.items())}
 
 
