@@ -74,7 +74,7 @@ def estimate(case: Case, physical: list[dict]) -> dict:
         for e in physical:
             p = e["parameters"].get(truth.parameter)
             if (e["effect"], e["target"]) == (truth.effect, truth.target) and p and truth.value is not None:
-                errors.append(abs(p["estimate"] - truth.value) / max(abs(truth.value - p["nominal"]), 1e-12))
+                errors.append(abs(p["estimate"] - truth.value) / max(abs(truth.value - (p["nominal"] or 0.0)), 1e-12))
                 covered.append(p["ci95"][0] <= truth.value <= p["ci95"][1])
     if not errors:
         return {"relative_error": "", "covered": ""}

@@ -411,6 +411,23 @@ _add("control_toss_capsule", ROD)
 _add("control_dc_arm", DC_ARM)
 _add("control_rotary", ROTARY)
 
+# --- end stops: nearer than in the model, or further ----------------------------------------------------------
+
+_add("cheetah_fthigh_stop", CHEETAH, hidden.joint_end("fthigh", "upper", 0.35), numerics=SAME)
+_add("servo_shoulder_stop", SERVO, hidden.joint_end("shoulder", "upper", 0.55))
+_add("walker_foot_open", WALKER, hidden.joint_end("foot_joint", "lower", -1.4), numerics=SAME)
+_add("hopper_thigh_stop", HOPPER, hidden.joint_end("thigh_joint", "lower", -1.6))
+_add("hopper_foot_open", HOPPER, hidden.joint_end("foot_joint", "upper", 1.4), numerics=SAME)
+_add("pusher_elbow_stop", PUSHER, hidden.joint_end("r_elbow_flex_joint", "lower", -1.6))
+_add("double_upper_stop", DOUBLE, hidden.joint_end("hinge2", "lower", -0.65), numerics=SAME)
+_add("dc_arm_knee_stop", DC_ARM, hidden.joint_end("knee", "upper", 0.9))
+_add(
+    "pusher_stop_and_damping",
+    PUSHER,
+    hidden.joint_end("r_elbow_flex_joint", "lower", -1.6),
+    hidden.joint_damping("r_shoulder_lift_joint", 2.5),
+)
+
 # --- controls: nothing is hidden -------------------------------------------------------------------------
 
 _add("control_pendulum", PENDULUM, numerics=SAME)

@@ -140,6 +140,20 @@ def joint_springref(joint: str, springref: float) -> Part:
     return Part(Truth("joint_springref", joint, "springref", springref), _joint(joint, springref=springref))
 
 
+def joint_end(joint: str, end: str, at: float) -> Part:
+    """The ``lower`` or ``upper`` stop of a joint elsewhere, rad or m; a joint without stops gets this one alone."""
+
+    def edit(root: ET.Element) -> None:
+        element, compiler = _find(root, "joint", joint), root.find("compiler")
+        degrees = element.get("type") != "slide" and (compiler is None or compiler.get("angle") != "radian")
+        own = (element.get("range") or "-6000 6000").split()
+        own[("lower", "upper").index(end)] = str(np.degrees(at) if degrees else at)
+        element.set("range", " ".join(own))
+        element.set("limited", "true")
+
+    return Part(Truth("joint_range", joint, end, at), edit)
+
+
 def body_mass(body: str, mass: float) -> Part:
     """A heavier or lighter body of the same shape, kg; its inertia scales along."""
 

@@ -31,6 +31,7 @@ class Candidate:
         strength: how many of the parameters, from the first on, say how strong it is; the others say where or how.
         plausible: what machines have, a pair for each parameter (:mod:`idapt_pl.effects.plausible`); a search keeps to
             it. None where anything may be.
+        only_stands_for_none: the model has no such thing, and the nominal values are so far off that it does nothing.
     """
 
     kind: type[Effect]
@@ -43,6 +44,7 @@ class Candidate:
     span: tuple[tuple[float, float], ...] | None = None
     strength: int | None = None
     plausible: tuple[tuple[float, float], ...] | None = None
+    only_stands_for_none: bool = False
 
     @property
     def label(self) -> str:
@@ -52,7 +54,7 @@ class Candidate:
     @property
     def in_model(self) -> tuple[float | None, ...]:
         """Values of the parameters in the nominal model; None of one that it does not have."""
-        return self.nominal
+        return (None,) * self.size if self.only_stands_for_none else self.nominal
 
     @property
     def size(self) -> int:
@@ -128,6 +130,8 @@ class TypicalSizes:
         force: rms of the actuators' forces in the nominal model, (nu,).
         horizon: how long predictions run, s.
         effort: the largest torque or force that acted on each joint, (nv,); empty where it is not known.
+        stops: where each joint was seen to come to a stop, lower and upper, rad or m, (nv, 2); NaN where it was not,
+            empty where nobody looked.
     """
 
     dt: float
@@ -139,6 +143,7 @@ class TypicalSizes:
     force: np.ndarray
     horizon: float
     effort: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    stops: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def torque(self) -> np.ndarray:

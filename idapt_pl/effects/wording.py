@@ -38,6 +38,8 @@ def format_estimate(value: float | str, interval: Iterable[float] | None) -> tup
         return format_number(value), ""
     low, high = interval
     half = (high - low) / 2
+    if value in (low, high):  # open: nobody knows how far it goes
+        return format_number(value), f"{format_number(low)} to {format_number(high)}"
     if not (math.isfinite(half) and half > 1e-9 * abs(value)):
         return format_number(value), f"{format_number(low)} to {format_number(high)}"
     decimals = math.ceil(-math.log10(half / 2))

@@ -93,7 +93,7 @@ def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> 
     """Mean of before - after over windows, and its standard error.
 
     Windows do not overlap, so their noise is independent. That some episodes show an effect more than others is
-    no reason to doubt it; if it helps in fewer than half of them, the error returned is infinite.
+    no reason to doubt it; if it helps in fewer than half of those that it changes, the error returned is infinite.
 
     Args:
         before: loss of each window, (n,).
@@ -101,6 +101,7 @@ def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> 
         clusters: episode of each window, (n,).
     """
     gain = before - after
-    helped = np.mean([gain[clusters == c].mean() > 0 for c in np.unique(clusters)])
+    changed = [of_one for c in np.unique(clusters) if (of_one := gain[clusters == c]).any()]
+    helped = np.mean([of_one.mean() > 0 for of_one in changed]) if changed else 0.0
     error = float(gain.std() / np.sqrt(len(gain)))
     return float(gain.mean()), error if helped >= 0.5 or gain.mean() <= 0 else float("inf")

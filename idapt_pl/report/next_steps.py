@@ -20,6 +20,7 @@ CONFIRM = {
     "joint_stiffness": "Hold several poses with the motor off: does a cable or a spring pull back?",
     "joint_springref": "Hold several poses with the motor off, and note where the joint rests.",
     "joint_drag": "Run at the highest speeds allowed, both ways.",
+    "joint_range": "Move the joint by hand against its end and read the encoder; look for a cable that tightens first.",
     "joint_backlash": "Hold the motor and move the link by hand; then reverse slowly under load.",
     "shared_motor": "Turn the first joint alone, and watch the second one's motor: does it turn, or need a torque?",
     "joint_cogging": "Turn slowly through whole turns and look for a ripple that repeats with the angle.",

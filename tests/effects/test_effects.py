@@ -23,6 +23,7 @@ from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
 from idapt_pl.effects.candidate import TypicalSizes
 from idapt_pl.effects.contacts import ContactFriction, ContactSoftness
 from idapt_pl.effects.couplings import SharedMotor
+from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.joints import (
     JointArmature,
     JointBacklash,
@@ -92,6 +93,7 @@ EXAMPLES = [
     ContactSoftness("*", 0.05),
     FluidDrag("world", density=1.2, viscosity=0.1),
     JointBacklash("hinge", 0.05),
+    JointRange("hinge", upper=0.5),
     JointDrag("hinge", 0.4),
     JointSpringref("hinge", 0.2),
     JointStiffness("slide", 3.0),

@@ -54,7 +54,8 @@ def nominal():
 @pytest.fixture(scope="module")
 def typical(nominal):
     nv, nu = np.ones(nominal.nv), np.ones(nominal.nu)
-    return TypicalSizes(0.02, 0.1 * nv, nv, 0.5 * nv, 6.0 * nv, 0.5 * nu, 2.0 * nu, 0.2)
+    stops = np.outer(nv, [-1.0, 1.5])
+    return TypicalSizes(0.02, 0.1 * nv, nv, 0.5 * nv, 6.0 * nv, 0.5 * nu, 2.0 * nu, 0.2, stops=stops)
 
 
 def numeric(field):

@@ -108,7 +108,7 @@ ARM = """
 def arm():
     """With every kind of element, links of half a metre, 6 N·m of usual force."""
     two, six = np.full(3, 2.0), np.full(4, 6.0)
-    typical = TypicalSizes(0.02, two, two, two, 3 * two, six, six, 0.2, effort=5 * two)
+    typical = TypicalSizes(0.02, two, two, two, 3 * two, six, six, 0.2, effort=5 * two, stops=np.outer(two, [-1, 1]))
     return Machine(mujoco.MjModel.from_xml_string(ARM), typical)
 
 

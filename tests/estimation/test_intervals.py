@@ -62,6 +62,13 @@ def test_a_gain_in_a_minority_of_episodes_is_not_sure_at_all():
     assert loss < 0 and np.isfinite(error)
 
 
+def test_episodes_that_a_change_leaves_as_they_are_say_nothing_of_it():
+    """A stop that a joint runs into in one episode of four."""
+    gain, error = paired_gain(np.ones(20), np.repeat([0.0, 1.0, 1.0, 1.0], 5), np.repeat(np.arange(4), 5))
+    assert gain == 0.25 and np.isfinite(error)
+    assert paired_gain(np.ones(20), np.ones(20), np.repeat(np.arange(4), 5))[0] == 0
+
+
 @pytest.mark.parametrize("episodes", [1, 2, 3])
 def test_intervals_cover_the_truth_however_few_episodes_there_are(episodes):
     rng, n, covered = np.random.default_rng(episodes), 60, 0

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.candidates.held_joints import joints_held
+from idapt_pl.diagnosis.candidates.stops_shown import stops_shown
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
@@ -24,6 +25,7 @@ joint_drag
 sensor_bias sensor_gain joint_stribeck joint_backlash joint_cogging
 joint_stiffness
 joint_springref
+joint_range
 shared_motor
 body_mass body_com payload body_inertia
 external_force
@@ -86,7 +88,7 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
     sizes = TypicalSizes(
         dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, force + tiny, horizon
     )
-    return replace(sizes, effort=np.max(effort, 0) + sizes.torque)
+    return replace(sizes, effort=np.max(effort, 0) + sizes.torque, stops=stops_shown(model, data))
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:

@@ -14,6 +14,9 @@ from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.estimation.intervals import covariance, unknown_variance, unseen
 
+HALVINGS = 8
+"""Of the way to nominal, until the end of an open interval is known to a part in 250."""
+
 
 def measure_intervals(context: SearchContext, state: SearchState) -> SearchState:
     """Fit once more, without shortcuts, and put 95 % intervals on the estimates."""
@@ -29,8 +32,43 @@ def measure_intervals(context: SearchContext, state: SearchState) -> SearchState
     width[unseen(fit.solution.J.T @ fit.solution.J)] = np.inf
     halves = split_parameters(state.candidates, width * np.concatenate([c.scale for c in state.candidates]))
     timestep = context.sim.compile(state.fixed).opt.timestep
-    measured = (with_interval(a, half, timestep) for a, half in zip(state.accepted, halves, strict=True))
+    pairs = list(enumerate(zip(state.accepted, halves, strict=True)))
+    measured = [with_interval(a, half, timestep, worse_from(context, state, k, half)) for k, (a, half) in pairs]
     return replace(state, accepted=tuple(measured))
+
+
+def worse_from(context: SearchContext, state: SearchState, k: int, half: np.ndarray) -> float | None:
+    """Of an effect's only parameter, which may be anything on one side: from where on, towards nominal, it may not.
+
+    As of a stop that a joint goes beyond: its place shows nowhere, but it is not where the model has it.
+
+    Args:
+        context: of the search.
+        state: its fits.
+        k: which of the accepted effects.
+        half: half the width of its parameters' intervals, (p,).
+
+    Returns:
+        The value nearest to nominal that is not clearly worse; None where nominal itself is none the worse, or where
+        the interval is finite anyway.
+    """
+    a, windows = state.accepted[k], state.windows.fit
+    if len(half) > 1 or np.isfinite(half[0]):
+        return None
+
+    def worse(value: float) -> bool:
+        x = [*state.estimates[:k], np.array([value]), *state.estimates[k + 1 :]]
+        gain = context.loss(windows, state.with_estimates(x).effects) - at_best
+        return float(gain.mean()) > 2 * float(gain.std()) / np.sqrt(len(gain))
+
+    at_best = context.loss(windows, state.effects)
+    well, ill = float(a.x[0]), float(a.candidate.nominal[0])
+    if not worse(ill):
+        return None
+    for _ in range(HALVINGS):
+        between = (well + ill) / 2
+        well, ill = (well, between) if worse(between) else (between, ill)
+    return well
 
 
 def systematic_changes(context: SearchContext, state: SearchState) -> list[np.ndarray]:
@@ -42,12 +80,16 @@ def systematic_changes(context: SearchContext, state: SearchState) -> list[np.nd
     )
 
 
-def with_interval(a: AcceptedEffect, half: np.ndarray, timestep: float) -> AcceptedEffect:
+def with_interval(a: AcceptedEffect, half: np.ndarray, timestep: float, edge: float | None = None) -> AcceptedEffect:
     """An effect with an interval of half that width (p,), inside its bounds.
 
     When in a time step a command acts is convention: delays are no surer than half a time step. A strength that no
-    recording shows stays as the model has it; a fit leaves it anywhere.
+    recording shows stays as the model has it; a fit leaves it anywhere. Where it may be anything but as the model has
+    it, it is the least change that does, at the ``edge`` (:func:`worse_from`).
     """
+    if edge is not None:
+        beyond = a.candidate.bounds()[int(edge > a.candidate.nominal[0])][0]
+        return replace(a, x=np.array([edge]), interval=np.sort([[edge, beyond]], 1))
     if a.candidate.kind in (ActuatorDelay, ActuatorLag):
         half = half + 0.5 * timestep
     low, high = a.candidate.bounds()

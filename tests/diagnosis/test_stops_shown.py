@@ -1,0 +1,130 @@
+"""Stops that recordings show, and what a diagnosis makes of them."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from datamodules.trajectories import Episode, Trajectories
+from idapt_pl.diagnosis.candidates.stops_shown import PILE, stops_shown
+from idapt_pl.diagnosis.rounds.measurement import with_interval, worse_from
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.end_stops import JointRange
+from idapt_pl.prediction.data import Recording
+
+LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002"/>
+<worldbody><body><joint name="hip" axis="0 1 0" damping="0.05" {}/>
+<geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.4" mass="1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><motor name="hip" joint="hip" ctrlrange="-2 2"/></actuator></mujoco>"""
+
+
+def recorded(own="", episodes=12, seed=0):
+    """A link with or without ends under random torques, without noise."""
+    model, rng, made = mujoco.MjModel.from_xml_string(LINK.format(own)), np.random.default_rng(seed), []
+    data = mujoco.MjData(model)
+    for k in range(episodes):
+        mujoco.mj_resetData(model, data)
+        data.qpos[0] = rng.uniform(-0.3, 0.5)
+        actions = np.repeat(rng.uniform(-1.5, 1.5, 12), 8)[:, None]
+        states = [[data.qpos[0], data.qvel[0]]]
+        for action in actions:
+            data.ctrl[:] = action
+            mujoco.mj_step(model, data, 10)
+            states.append([data.qpos[0], data.qvel[0]])
+        q, v = np.array(states).T[:, :, None]
+        made.append(Recording(f"episode_{k}", 0.02 * np.arange(len(q)), q, v, actions))
+    return model, made
+
+
+def test_a_joint_that_runs_into_a_stop_shows_it():
+    _, data = recorded('range="-0.4 3"')
+    lower, upper = stops_shown(mujoco.MjModel.from_xml_string(LINK.format("")), data)[0]
+    assert -0.5 < lower < -0.39 and np.isnan(upper)
+
+
+def test_a_joint_that_turns_round_by_itself_shows_none():
+    model, data = recorded()
+    assert np.isnan(stops_shown(model, data)).all()
+
+
+def test_a_joint_that_goes_beyond_the_models_end_shows_where_it_went():
+    _, data = recorded()
+    narrow = mujoco.MjModel.from_xml_string(LINK.format('range="-0.2 3"'))
+    furthest = min(float(r.qpos.min()) for r in data)
+    assert stops_shown(narrow, data)[0] == pytest.approx([furthest, np.nan], nan_ok=True)
+
+
+def test_turns_at_one_place_show_a_stop_and_turns_anywhere_do_not():
+    model, t = mujoco.MjModel.from_xml_string(LINK.format("")), np.linspace(0, 2 * np.pi, 200)
+
+    def swings(heights):
+        return [Recording("", t, (h * np.sin(t))[:, None], (h * np.cos(t))[:, None], t[:-1, None]) for h in heights]
+
+    many = swings([0.8] * PILE)
+    assert stops_shown(model, many)[0] == pytest.approx([-0.8, 0.8], abs=1e-3)
+    assert np.isnan(stops_shown(model, many[1:])).all(), "one fewer"
+    assert np.isnan(stops_shown(model, swings(np.linspace(0.4, 0.8, 4 * PILE)))).all()
+
+
+def diagnosed(data, own=""):
+    spec = mujoco.MjSpec.from_string(LINK.format(own))
+    rng = np.random.default_rng(1)
+    episodes = []
+    for r in data:
+        seen = {
+            "qpos": r.qpos + 5e-4 * rng.normal(size=r.qpos.shape),
+            "qvel": r.qvel + 5e-3 * rng.normal(size=r.qvel.shape),
+        }
+        episodes.append(Episode(r.actions.astype(np.float32), seen))
+    return diagnose(spec, Trajectories(tuple(episodes), 0.02)).result
+
+
+def test_a_stop_that_the_model_lacks_is_found_and_nothing_besides():
+    found = diagnosed(recorded('range="-0.4 3"')[1]).effects
+    (effect,) = [e for e in found if e.effect != "numerics"]
+    assert (effect.effect, effect.target) == ("joint_range", "hip")
+    at = effect.parameters["lower"]
+    assert at.estimate == pytest.approx(-0.4, abs=0.005) and at.nominal is None
+
+
+def test_a_stop_that_is_not_there_is_found_to_be_further_out():
+    """The joint goes through it and never meets another, so where that may be is open on one side."""
+    data = recorded()[1]
+    furthest = min(float(r.qpos.min()) for r in data)
+    (effect,) = [e for e in diagnosed(data, 'range="-0.3 3"').effects if e.effect != "numerics"]
+    assert (effect.effect, effect.target) == ("joint_range", "hip")
+    at = effect.parameters["lower"]
+    assert at.ci95 is not None and at.ci95[0] == -13 and at.ci95[1] == pytest.approx(at.estimate)
+    assert furthest - 0.05 < at.estimate < -0.6
+
+
+def test_where_nothing_is_hidden_no_stop_is_found():
+    assert not [e for e in diagnosed(recorded('range="-0.4 3"')[1], 'range="-0.4 3"').effects if e.effect != "numerics"]
+
+
+def with_losses(loss_at):
+    """A search that accepted a lower end of -2 in place of -1, where windows lose ``loss_at(end)``."""
+    end = Candidate(JointRange, "hip", ("lower",), (-1.0,), (0.1,), plausible=((-13.0, 13.0),))
+    state = SearchState((), (AcceptedEffect(0, end, np.array([-2.0])),), SimpleNamespace(fit=None))
+    noise = 0.1 * np.random.default_rng(0).normal(size=100)
+    context = SimpleNamespace(loss=lambda windows, effects: noise + loss_at(effects[0].lower))
+    return context, state
+
+
+def test_an_open_interval_ends_where_the_fit_gets_worse():
+    context, state = with_losses(lambda end: np.full(100, float(end > -1.5)) * np.arange(100) / 100)
+    edge = worse_from(context, state, 0, np.array([np.inf]))
+    assert edge == pytest.approx(-1.5, abs=0.01) and edge <= -1.5
+    measured = with_interval(state.accepted[0], np.array([np.inf]), 0.002, edge)
+    assert measured.x == pytest.approx([edge]) and measured.interval.tolist() == [[-13.0, edge]]
+    assert not measured.unsure
+    assert worse_from(context, state, 0, np.array([0.1])) is None, "nothing is open"
+
+
+def test_where_the_models_own_value_does_as_well_nothing_is_known():
+    context, state = with_losses(lambda end: np.zeros(100))
+    assert worse_from(context, state, 0, np.array([np.inf])) is None
+    assert with_interval(state.accepted[0], np.array([np.inf]), 0.002, None).unsure
