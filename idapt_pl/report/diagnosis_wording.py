@@ -33,8 +33,8 @@ HEADLINES = {
 GOOD_ENOUGH = 1.3
 """Errors, in times of what is unavoidable, up to which nothing more is asked for."""
 
-CHANGE_EXPLAINS = 0.5
-"""Share of what is left that a change must account for to be called what the model lacks."""
+EXPLAINS = 0.5
+"""Share of what is left that a change, or a candidate that is not sure, must account for to be told of."""
 
 
 def headline(result: DiagnosisResult) -> str:
@@ -59,7 +59,7 @@ def rest_explained_by(result: DiagnosisResult) -> Literal["law", "change", ""]:
     if laws is not None and laws.found and laws.after < GOOD_ENOUGH:
         return "law"
     changing = result.changes.found if result.changes is not None else ()
-    return "change" if any(f.removed_share >= CHANGE_EXPLAINS for f in changing) else ""
+    return "change" if any(f.removed_share >= EXPLAINS for f in changing) else ""
 
 
 def quick_and_unexplained(result: DiagnosisResult) -> bool:
@@ -77,7 +77,12 @@ def verdict_in_words(result: DiagnosisResult, model: mujoco.MjModel) -> list[str
     }
     result = without_negligible_laws(result)
     said = [*makers[result.verdict](result, model), *judged_by_force_sentences(result)]
-    return [*said, *undecided_sentences(result.effects), *implausible_sentences(result)]
+    return [
+        *said,
+        *nearly_named_sentences(result),
+        *undecided_sentences(result.effects),
+        *implausible_sentences(result),
+    ]
 
 
 def without_negligible_laws(result: DiagnosisResult) -> DiagnosisResult:
@@ -127,7 +132,7 @@ def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) ->
         if result.error.after < GOOD_ENOUGH
         else ", but neither state nor commands predict the rest."
     )
-    none = "none of the effects tried makes the predictions of episodes not used for fitting better than chance would."
+    none = "none of the effects tried makes the predictions of episodes not used for fitting surely better."
     if not result.effects:
         return [f"No missing effect: {none}", level + good]
     numerics = "; ".join(effect_sentence(e, model) for e in result.effects)  # what no verdict counts as missing
@@ -227,6 +232,21 @@ def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
             others = ["another form of it" if o == own else o for o in others]
             sentences.append(f"These data cannot tell {own} from {listing(others)}.")
     return sentences
+
+
+def nearly_named_sentences(result: DiagnosisResult) -> list[str]:
+    """What would take most of the rest off, if it were sure: few of the held-out windows may show it."""
+    rest, named = result.error.after**2 - 1, {e.key for e in result.effects}
+    tried = [c for c in result.candidates if not c.implausible and (c.effect, c.target) not in named]
+    best = max(tried, key=lambda c: c.held_out_gain or 0.0, default=None)
+    if best is None or result.error.after < GOOD_ENOUGH or (best.held_out_gain or 0.0) < EXPLAINS * rest:
+        return []
+    values = ", ".join(f"{name} {format_number(value)}" for name, value in best.parameters.items())
+    return [
+        f"Nearly named: {phrase_at(best.effect, best.target)} ({values}). It would take "
+        f"{100 * min(1.0, (best.held_out_gain or 0.0) / rest):.0f} % of the rest off, but: {best.rejected_because}. "
+        "Record more motion that shows it."
+    ]
 
 
 def implausible_sentences(result: DiagnosisResult) -> list[str]:

@@ -23,6 +23,7 @@ from idapt_pl.diagnosis.answer.result import (
     EffectEstimate,
     ErrorTable,
     ParameterEstimate,
+    RejectedCandidate,
     Verdict,
 )
 from idapt_pl.diagnosis.search import diagnose
@@ -319,6 +320,20 @@ def test_effects_and_units_are_those_of_their_target(blocks):
 def made_result(verdict, effects):
     error = ErrorTable(5, 0.1, (0,), (1,), 3.0, 1.1, 1.0, 1.5, 0.97, 0.0, {})
     return DiagnosisResult(Verdict(verdict), error, effects, (), (), "", "")
+
+
+@pytest.mark.parametrize(("after", "gain", "told"), [(3.0, 7.0, True), (3.0, 3.0, False), (1.2, 7.0, False)])
+def test_what_would_explain_the_rest_but_is_not_sure_is_told(blocks, after, gain, told):
+    result = made_result("no_missing_effect", [])
+    unsure = RejectedCandidate(
+        "joint_range", "x", {"upper": 0.5}, {}, 1, 9.0, gain, "gain 7 ± 6 is not surely positive"
+    )
+    result = replace(result, error=replace(result.error, after=after), candidates=[unsure])
+    said = " ".join(verdict_in_words(result, read_model(blocks).compile()))
+    expected = "Nearly named: an end stop of joint x (upper 0.5). It would take 88 % of the rest off, but: gain 7 ± 6"
+    assert (expected in said) == told and ("Nearly" in said) == told
+    beyond = replace(result, candidates=[replace(unsure, implausible=True)])
+    assert "Nearly" not in " ".join(verdict_in_words(beyond, read_model(blocks).compile()))
 
 
 FRICTION = EffectEstimate(
