@@ -31,8 +31,8 @@ from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.prediction.model import read_model
 
 FIELDS = (
-    "seed", "effect", "target", "parameter", "nominal", "estimate", "low", "high", "truth", "before", "after", "verdict",
-    "seconds", "threads", "commit", "cpu",
+    "seed", "effect", "target", "parameter", "nominal", "estimate", "low", "high", "truth", "before", "after",
+    "verdict", "seconds", "threads", "commit", "cpu",
 )  # fmt: skip
 MODEL = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "half_cheetah.xml"
 EPISODES, STEPS, PERIOD, HELD = 40, 80, 0.02, 4
