@@ -10,6 +10,7 @@ import numpy as np
 
 from idapt_pl.diagnosis.candidates.fit import WhitenedResidual, effects_of, fit_candidates
 from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
+from idapt_pl.diagnosis.rounds.both_ways import gain_on_all
 from idapt_pl.diagnosis.rounds.gates import Judged, objection
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, slopes_of_accepted
@@ -97,7 +98,9 @@ def refine(context: SearchContext, state: SearchState, t: Trial, slopes: np.ndar
     candidates = [*state.candidates, t.candidate]
     x = context.fit(state.windows.screen, state.fixed, candidates, t.x, STEPS, slopes=slopes).x
     losses = context.loss(state.windows.held_out, (*state.fixed, *effects_of(candidates, x)))
-    gain, error = paired_gain(now, losses, state.windows.held_out.windows.episode)
+    gain, error = gain_on_all(
+        context, state, candidates, x, state.effects, (now, losses), sure=context.settings.sureness
+    )
     judged = Judged(t.candidate, x[-1], gain, error, float(now.mean()), bool(state.accepted), context.settings)
     return replace(t, x=x, losses=losses, gain=gain, gain_error=error, rejection=objection(judged))
 

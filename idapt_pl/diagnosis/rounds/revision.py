@@ -11,6 +11,7 @@ import numpy as np
 from idapt_pl.diagnosis.candidates.fit import effects_of
 from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS, PARSIMONY, rough_fits
+from idapt_pl.diagnosis.rounds.both_ways import gain_on_all
 from idapt_pl.diagnosis.rounds.gates import CLEAR_GAIN, Judged, beyond_its_kind, earns_its_place, why_implausible
 from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
@@ -181,7 +182,9 @@ def does_without(context: SearchContext, state: SearchState, rest: SearchState, 
     """Whether a model does as well without one of its effects, the others refitted (``rest``)."""
     settings, held_out = context.settings, state.windows.held_out
     with_it, without = context.loss(held_out, state.effects), context.loss(held_out, rest.effects)
-    gain, error = paired_gain(without, with_it, held_out.windows.episode)
+    gain, error = gain_on_all(
+        context, state, state.candidates, state.estimates, rest.effects, (without, with_it), sure=settings.sureness
+    )
     by_forces = judges_forces(held_out)
     if by_forces:  # few instants tell of forces, replays nothing, and all joints have friction
         settings = replace(settings, sureness=0.0, relative_gain=settings.relative_gain / context.sim.model.nv)
