@@ -241,6 +241,21 @@ def search_cost(results: Path = RESULTS) -> str:
     return markdown(titles, lines)
 
 
+def two_models(results: Path = RESULTS) -> str:
+    """A row for each difference between two published models of one robot that is there or was found, by seeds."""
+    rows, lines = read_rows(results / "two_models.csv"), []
+    seeds = sorted({r["seed"] for r in rows}, key=int)
+    for effect, target, parameter in dict.fromkeys((r["effect"], r["target"], r["parameter"]) for r in rows):
+        mine = {r["seed"]: r for r in chosen(rows, {"effect": effect, "target": target, "parameter": parameter})}
+        told = {k: next((v for r in mine.values() if (v := r[k])), "") for k in ("nominal", "truth")}
+        found = [mine[s]["estimate"] if s in mine else "" for s in seeds]
+        lines.append((
+            f"`{effect}` of `{target}`, {parameter}", told["nominal"], told["truth"] or "as in the model",
+            *(f"{float(v):.3g}" if v else "not named" for v in found),
+        ))  # fmt: skip
+    return markdown(("", "in the model", "in the other file", *(f"found, seed {s}" for s in seeds)), lines)
+
+
 def own_worlds(results: Path = RESULTS) -> str:
     """A row for each pair of a source and a target that nobody here wrote, and each of its versions."""
     rows, lines = read_rows(results / "own_targets.csv"), []
@@ -298,6 +313,7 @@ TABLES: Mapping[str, Callable[[Path], str]] = {
     "baselines": baselines,
     "cost": search_cost,
     "own": own_worlds,
+    "two_models": two_models,
     "next": next_recordings,
     **{name: functools.partial(every_run, name=name) for _, name, _ in SHOWN},
 }

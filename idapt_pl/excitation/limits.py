@@ -10,6 +10,9 @@ import numpy as np
 
 from idapt_pl.effects.candidate import scalar_joints
 
+TURN = 2 * np.pi
+"""Rad (of a slide m), of which a margin is at most a share."""
+
 Span = tuple[float, float]
 """Lowest and highest value."""
 
@@ -116,7 +119,8 @@ def joint_ranges(model: mujoco.MjModel, margin: float) -> np.ndarray:
     for j, v, _ in scalar_joints(model):
         if model.jnt_limited[j]:
             low, high = model.jnt_range[j]
-            out[v] = low + margin * (high - low), high - margin * (high - low)
+            inside = margin * min(high - low, TURN)  # one end may be open, and so as good as infinitely far
+            out[v] = low + inside, high - inside
     return out
 
 

@@ -99,3 +99,13 @@ def test_such_configs_differ_in_the_number_of_steps_alone(name):
     assert schedule["images"] + steps * schedule["interactions"] == interactions
     assert schedule.pop("grounding_steps") == steps and long["schedule"].pop("grounding_steps") >= steps
     assert short == long
+
+
+def test_what_two_models_differ_by_stands_beside_what_was_found(tmp_path):
+    head = "seed,effect,target,parameter,nominal,estimate,low,high,truth"
+    rows = ("0,joint_range,foot,lower,-0.4,-0.62,-13,-0.62,-4.0", "1,joint_range,foot,lower,,,,,-4.0",
+            "1,body_mass,leg,mass,1.5,1.7,1.6,1.8,")  # fmt: skip
+    (tmp_path / "two_models.csv").write_text("\n".join([head, *rows, ""]))
+    foot, leg = tables.two_models(tmp_path).splitlines()[2:]
+    assert foot == "| `joint_range` of `foot`, lower | -0.4 | -4.0 | -0.62 | not named |"
+    assert leg == "| `body_mass` of `leg`, mass | 1.5 | as in the model | not named | 1.7 |"

@@ -1,10 +1,12 @@
 """Limits come from the model, options narrow them, and what cannot be is said in a sentence."""
 
+import mujoco
 import numpy as np
 import pytest
 from arms import RAIL, compiled
 
-from idapt_pl.excitation.limits import ImpossibleMotion, limits_of, servo_dof
+from idapt_pl.effects.end_stops import JointRange
+from idapt_pl.excitation.limits import TURN, ImpossibleMotion, joint_ranges, limits_of, servo_dof
 from idapt_pl.excitation.safety import limit_margins, motion_excess, relative_size
 
 
@@ -73,3 +75,11 @@ def test_a_motion_is_measured_against_its_limits():
     room = {m.what: m.room for m in limit_margins(model, limits, qpos[0], qvel[0])}
     assert room == pytest.approx({"position shoulder": 0.1 / 1.5, "velocity shoulder": -0.05})
     assert motion_excess(model, limits, np.full((1, 2, 1), np.nan), np.zeros((1, 2, 1)))[0] > 0
+
+
+def test_an_end_that_is_open_takes_no_room_from_the_other():
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    JointRange("j", upper=0.5).apply(spec)
+    assert joint_ranges(spec.compile(), 0.05)[0, 1] == pytest.approx(0.5 - 0.05 * TURN)

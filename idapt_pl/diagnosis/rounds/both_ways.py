@@ -19,9 +19,9 @@ from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.simulator import Effects
 
-STEPS = 5
+STEPS_THE_OTHER_WAY = 5
 """Of a fit."""
-MOST_OF_IT = 0.5
+MOST_OF_THE_REST = 0.5
 """Share of what is left above noise that it must take away on the held-out windows."""
 
 
@@ -49,10 +49,10 @@ def gain_on_all(
     episodes = windows.held_out.windows.episode
     gain, error = paired_gain(*held_out, episodes)
     left = float(held_out[0].mean())
-    open_question = gain <= sure * error and left > LEFT_OVER and gain > MOST_OF_IT * (left - 1)
+    open_question = gain <= sure * error and left > LEFT_OVER and gain > MOST_OF_THE_REST * (left - 1)
     if not open_question or judges_forces(windows.held_out):
         return gain, error
-    other = context.fit(windows.held_out, state.fixed, candidates, x, STEPS).x
+    other = context.fit(windows.held_out, state.fixed, candidates, x, STEPS_THE_OTHER_WAY).x
     with_it = context.loss(windows.fit, (*state.fixed, *effects_of(candidates, other)))
     before = np.concatenate([held_out[0], context.loss(windows.fit, without)])
     after = np.concatenate([held_out[1], with_it])
