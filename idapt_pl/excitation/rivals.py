@@ -29,8 +29,8 @@ REPEAT = "run idapt diagnose again, with this version"
 COMPARED = (
     "body_mass", "body_inertia", "body_ipos", "dof_damping", "dof_dampingpoly", "dof_frictionloss", "dof_armature",
     "jnt_stiffness", "jnt_range", "qpos_spring", "actuator_gainprm", "actuator_biasprm", "actuator_dyntype",
-    "actuator_dynprm", "actuator_delay", "actuator_gear", "actuator_ctrllimited", "actuator_ctrlrange", "actuator_forcelimited",
-    "actuator_forcerange", "geom_friction", "geom_solref", "pair_friction", "pair_solref",
+    "actuator_dynprm", "actuator_delay", "actuator_gear", "actuator_ctrllimited", "actuator_ctrlrange",
+    "actuator_forcelimited", "actuator_forcerange", "geom_friction", "geom_solref", "pair_friction", "pair_solref",
 )  # fmt: skip
 """Arrays by which a model is known again: all that effects write to."""
 
