@@ -32,8 +32,8 @@ PLAIN = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
 """Laws of motors and of servos."""
 
 ELSEWHERE = ("body_mass", "body_com", "body_inertia", "payload", "gravity_direction", "contact_friction",
-             "contact_softness", "numerics", "fluid_drag")  # fmt: skip
-"""Effects that other parts of a simulation say: bodies, contacts, the world."""
+             "contact_softness", "numerics", "fluid_drag", "joint_range")  # fmt: skip
+"""Effects that other parts of a simulation say: bodies and their joints' ends, contacts, the world."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.joints import JointBacklash
 from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorDelay
@@ -32,7 +33,7 @@ TRIAL_FORCE = 3.0
 Much, as legs that stand slip at little ones, and what a solver of few iterations does with these is chance.
 """
 
-NO_FORCES = (ActuatorDelay, ActuatorLag, SensorDelay, SensingEffect, JointBacklash)
+NO_FORCES = (ActuatorDelay, ActuatorLag, SensorDelay, SensingEffect, JointBacklash, JointRange)
 """Effects that are no forces, or forces that change within a control step."""
 
 
