@@ -32,7 +32,7 @@ from idapt_pl.diagnosis.rounds.revision import (
     swap_for_rivals,
 )
 from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
-from idapt_pl.diagnosis.rounds.taking_apart import single_for_shared
+from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, single_for_shared
 from idapt_pl.diagnosis.rounds.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
 from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
 from idapt_pl.diagnosis.state.context import Progress, SearchContext
@@ -203,7 +203,8 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
 
 def settle(context: SearchContext, state: SearchState) -> SearchState:
     """The end of a search: fewer effects where they do as well, and those that are sure."""
-    return keep_sure(context, single_for_shared(context, one_gain_for_many(context, state)))
+    fewest = many_for_one_gain(context, one_gain_for_many(context, state))
+    return keep_sure(context, single_for_shared(context, fewest))
 
 
 def select_and_revise(

@@ -1,4 +1,4 @@
-"""One value for all joints, motors or bodies, taken apart into one for each."""
+"""One value for all joints, motors or bodies, taken apart into one for each; a gain, into all that it scales."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ import numpy as np
 from idapt_pl.diagnosis.rounds.revision import eliminate_needless, level
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, refit_accepted, renew
-from idapt_pl.effects.base import ACTUATED
+from idapt_pl.effects.actuators import ActuatorGain
+from idapt_pl.effects.base import ACTUATED, Effect
+from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import Candidate, actuated_dofs, scalar_joints
+from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss, JointStiffness
+from idapt_pl.prediction.force_windows import judges_forces
 
 log = logging.getLogger(__name__)
 AS_GOOD = 1.02
 """Of the loss before, what fewer effects may leave."""
+SCALED: tuple[type[Effect], ...] = (BodyMass, JointDamping, JointFrictionloss, JointArmature, JointStiffness)
+"""What a gain of all motors scales, the other way round."""
+MOST_SCALED = 8
+"""Of these that a model may have, to be fitted together."""
 
 
 def taken_apart(context: SearchContext, c: Candidate) -> list[Candidate]:
@@ -59,3 +67,32 @@ def together(own: AcceptedEffect, shared: AcceptedEffect) -> np.ndarray:
     """What an effect and a shared one come to: factors are multiplied, other values added."""
     nominal = np.array(own.candidate.nominal, float)
     return np.where(nominal == 1.0, own.x * shared.x, own.x + shared.x - nominal)
+
+
+def many_for_one_gain(context: SearchContext, state: SearchState) -> SearchState:
+    """The state without a gain of all motors, where changes of some of what it scales are fewer and as good.
+
+    A heavier pole in a stiffer bearing moves as one of a weaker motor on a lighter cart does. It is undone by giving
+    all masses, dampings, frictions, rotors and springs the inverse of the gain; most of them are then as in the model.
+    """
+    gains = [a for a in state.accepted if a.candidate.kind is ActuatorGain and a.candidate.names == ("gain",)]
+    gain = next((a for a in gains if a.candidate.target == "*" or context.sim.model.nu == 1), None)
+    if gain is None or len(state.accepted) < 2 or judges_forces(state.windows.fit):
+        return state
+    rest, first = [a for a in state.accepted if a is not gain], 1 + max(a.round for a in state.accepted)
+    known = {a.candidate.label for a in rest}
+    scaled = [
+        c for c in context.candidates if c.kind in SCALED and c.target not in ("*", ACTUATED) and c.nominal[0] > 0
+    ]
+    own = [c for c in scaled if c.label not in known]
+    if not own or len(scaled) > MOST_SCALED:
+        return state
+    inverse = 1 / max(float(gain.x[0]), 1e-3)
+    kept = [replace(a, x=a.x * inverse) if a.candidate.kind in SCALED else a for a in rest]
+    new = [AcceptedEffect(first + k, c, inverse * np.array(c.nominal, float)) for k, c in enumerate(own)]
+    other = eliminate_needless(context, refit_accepted(context, replace(state, accepted=(*kept, *new))))
+    fewer = sum(c.size for c in other.candidates) < sum(c.size for c in state.candidates)
+    if not fewer or level(context, other) > AS_GOOD * level(context, state):
+        return state
+    log.info("%s undone: %s", gain.candidate.label, ", ".join(c.label for c in other.candidates))
+    return refit_accepted(context, renew(context, other))
