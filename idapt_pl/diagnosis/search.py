@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -23,6 +24,7 @@ from idapt_pl.diagnosis.rounds.acceptance import accept, confirm
 from idapt_pl.diagnosis.rounds.all_at_once import add_all_at_once
 from idapt_pl.diagnosis.rounds.look_ahead import add_two
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
+from idapt_pl.diagnosis.rounds.other_beginnings import begin_otherwise
 from idapt_pl.diagnosis.rounds.revision import (
     eliminate_needless,
     far_from_explained,
@@ -36,7 +38,7 @@ from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, single_for
 from idapt_pl.diagnosis.rounds.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
 from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
 from idapt_pl.diagnosis.state.context import Progress, SearchContext
-from idapt_pl.diagnosis.state.search_state import SearchState, refit_accepted, renew
+from idapt_pl.diagnosis.state.search_state import Progression, SearchState, refit_accepted, renew
 from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, NOT_TRIED_QUICKLY, SearchSettings
 from idapt_pl.effects.base import Effect
 from idapt_pl.estimation.stepwise import forward_selection
@@ -179,9 +181,6 @@ FIRST_EFFECTS = 3
 REVISIONS = 3
 """How often effects are added again, where reopened choices changed what was found."""
 
-Progression = tuple[SearchState, tuple[Trial, ...]]
-"""Where a search stands, and everything that was tried."""
-
 
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
@@ -192,7 +191,8 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
         )
         return keep_sure(context, eliminate_needless(context, state)), trials
     begun = select_and_revise(context, (retest_numerics(context, state), ()))
-    state, trials = by_forces_if_need_be(context, begun, lambda p: select_and_revise(context, p, to_the_end=True))
+    to_the_end = functools.partial(select_and_revise, context, to_the_end=True)
+    state, trials = begin_otherwise(context, by_forces_if_need_be(context, begun, to_the_end), to_the_end)
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show

@@ -87,6 +87,10 @@ class SearchState:
         return replace(self, accepted=tuple(a for a in self.accepted if a.round != effect.round))
 
 
+Progression = tuple[SearchState, tuple[Trial, ...]]
+"""A model in the making and everything tried so far, round by round."""
+
+
 def first_state(context: SearchContext, noise: Noise) -> SearchState:
     """Nothing found yet; ``noise`` as it looks under the declared effects."""
     declared = context.declared
