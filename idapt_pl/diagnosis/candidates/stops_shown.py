@@ -1,7 +1,8 @@
 """Where recordings show that a joint ran into a stop, so that a diagnosis has to try whether it has one there.
 
 A joint that turns round by itself is slow before it does, and turns now here and now there. One that is stopped arrives
-fast, or is turned round at one place again and again. A joint that goes where its model has it ended shows a stop, too.
+fast, be it once, or is turned round at one place again and again. A joint that goes where its model has it ended shows a
+stop, too.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from idapt_pl.prediction.data import Recording
 
 ZONE = 0.03
 """Share of a joint's motion that counts as one place."""
-SHARPER, TIMES = 2.0, 3
-"""How many times as hard as elsewhere a joint is stopped, and how often, before it is no accident."""
+SHARPER = 2.0
+"""How many times as hard as elsewhere a joint is stopped."""
 PLACES, PILE = 4, 6
 """In how many places next to the furthest a joint is seen to turn round, and how many turns in one of them are many."""
 
@@ -42,20 +43,22 @@ def upper_stop(motions: Sequence[RecordedJoint], own: float) -> float | None:
     """Where a joint is stopped on its way up; ``own`` is where the model has it stop, infinite where it does not."""
     top = max(float(q.max()) for _, q, _ in motions)
     zone = ZONE * (top - min(float(q.min()) for _, q, _ in motions))
-    if not zone or top > own + zone or sharp_turns(motions, top, zone) >= TIMES:
+    if not zone or top > own + zone or is_stopped(motions, top, zone):
         return top if zone else None
     return place_of_turns(motions, top, zone)
 
 
-def sharp_turns(motions: Sequence[RecordedJoint], top: float, zone: float) -> int:
-    """How often a joint comes so fast that it must be stopped harder than it is elsewhere, not to go beyond ``top``."""
+def is_stopped(motions: Sequence[RecordedJoint], top: float, zone: float) -> bool:
+    """Whether a joint once comes so fast that it must be stopped harder than elsewhere, not to go beyond ``top``."""
     elsewhere = [np.abs(np.diff(s) / np.diff(t))[q[1:] < top - 2 * zone] for t, q, s in motions]
-    hard = SHARPER * float(np.quantile(np.concatenate(elsewhere), 0.9)) if any(map(len, elsewhere)) else np.inf
-    sharp = 0
+    if not any(map(len, elsewhere)):
+        return False
+    hard = SHARPER * float(np.quantile(np.concatenate(elsewhere), 0.9))
     for _, q, s in motions:
         arrives = np.flatnonzero((q[:-1] <= top - zone) & (q[1:] > top - zone))
-        sharp += int(np.sum(np.maximum(s[arrives], 0) ** 2 / (2 * (top - q[arrives])) > hard))
-    return sharp
+        if np.any(np.maximum(s[arrives], 0) ** 2 / (2 * (top - q[arrives])) > hard):
+            return True
+    return False
 
 
 def place_of_turns(motions: Sequence[RecordedJoint], top: float, zone: float) -> float | None:
