@@ -1,8 +1,8 @@
 """Where recordings show that a joint ran into a stop, so that a diagnosis has to try whether it has one there.
 
-A joint that turns round by itself is slow before it does, and turns now here and now there. One that is stopped arrives
-fast, be it once, or is turned round at one place again and again. A joint that goes where its model has it ended shows a
-stop, too.
+A joint that turns round by itself is slow before it does, and turns now here and now there. One that runs into a stop
+arrives fast, be it once, or is turned round at one place again and again. A joint that goes where its model has it
+ended shows one, too.
 """
 
 from __future__ import annotations
