@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.candidates.listing import all_candidates, in_plausible_ranges, typical_sizes
+from idapt_pl.diagnosis.candidates.stops_shown import stops_shown
 from idapt_pl.diagnosis.state.context import Progress, SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState, first_state
 from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, SearchSettings
@@ -46,6 +48,7 @@ def begin_with(
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
     sizes = typical_sizes(sim.model, sim.data, steps * sim.control_period)
+    sizes = replace(sizes, stops=stops_shown(sim.model, sim.data))
     begin = sim.spec_with([e for e in declared if not isinstance(e, JointBacklash)])  # that adds joints
     unlimited = choose_candidates(all_candidates(begin, sizes), candidates)
     considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datamodules.trajectories import Episode, Trajectories
-from idapt_pl.diagnosis.candidates.stops_shown import PILE, stops_shown
+from idapt_pl.diagnosis.candidates.stops_shown import HARDER, is_pushed_back, stops_shown, unexplained_accelerations
 from idapt_pl.diagnosis.rounds.measurement import with_interval, worse_from
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
@@ -21,14 +21,14 @@ LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002"/>
 <actuator><motor name="hip" joint="hip" ctrlrange="-2 2"/></actuator></mujoco>"""
 
 
-def recorded(own="", episodes=12, seed=0):
-    """A link with or without ends under random torques, without noise."""
+def recorded(own="", episodes=12, seed=0, pace=8):
+    """A link with or without ends under random torques, held for ``pace`` control steps, without noise."""
     model, rng, made = mujoco.MjModel.from_xml_string(LINK.format(own)), np.random.default_rng(seed), []
     data = mujoco.MjData(model)
     for k in range(episodes):
         mujoco.mj_resetData(model, data)
         data.qpos[0] = rng.uniform(-0.3, 0.5)
-        actions = np.repeat(rng.uniform(-1.5, 1.5, 12), 8)[:, None]
+        actions = np.repeat(rng.uniform(-1.5, 1.5, 96 // pace + 1), pace)[:96, None]
         states = [[data.qpos[0], data.qvel[0]]]
         for action in actions:
             data.ctrl[:] = action
@@ -57,16 +57,27 @@ def test_a_joint_that_goes_beyond_the_models_end_shows_where_it_went():
     assert stops_shown(narrow, data)[0] == pytest.approx([furthest, np.nan], nan_ok=True)
 
 
-def test_turns_at_one_place_show_a_stop_and_turns_anywhere_do_not():
-    model, t = mujoco.MjModel.from_xml_string(LINK.format("")), np.linspace(0, 2 * np.pi, 200)
+def test_a_servo_that_leans_on_a_stop_slowly_shows_it():
+    """It is there for long, and is never fast: the torque is what tells."""
+    _, data = recorded('range="-0.4 3"', pace=40)
+    lower, upper = stops_shown(mujoco.MjModel.from_xml_string(LINK.format("")), data)[0]
+    assert -0.5 < lower < -0.39 and np.isnan(upper)
 
-    def swings(heights):
-        return [Recording("", t, (h * np.sin(t))[:, None], (h * np.cos(t))[:, None], t[:-1, None]) for h in heights]
 
-    many = swings([0.8] * PILE)
-    assert stops_shown(model, many)[0] == pytest.approx([-0.8, 0.8], abs=1e-3)
-    assert np.isnan(stops_shown(model, many[1:])).all(), "one fewer"
-    assert np.isnan(stops_shown(model, swings(np.linspace(0.4, 0.8, 4 * PILE)))).all()
+def test_a_push_back_is_one_that_nothing_elsewhere_comes_near():
+    q, back = np.linspace(0, 1, 101), np.tile([1.0, -1.0, 0.5], 34)[:101]
+    assert not is_pushed_back(q, back, 0.94)
+    assert is_pushed_back(q, np.where(q == 0.97, HARDER + 0.1, back), 0.94), "once"
+    assert not is_pushed_back(q, np.where(q == 0.97, -HARDER - 0.1, back), 0.94), "not outward"
+    assert not is_pushed_back(q, np.where(q == 0.5, HARDER + 0.1, back), 0.94), "not on its way"
+    assert not is_pushed_back(q, back, 1.0) and not is_pushed_back(q, back, -1.0), "no end, or nothing else"
+
+
+def test_the_right_model_leaves_next_to_nothing_unexplained():
+    model, data = recorded()
+    at, rest = unexplained_accelerations(model, data)
+    moved = np.concatenate([np.diff(r.qvel, axis=0) / 0.02 for r in data])
+    assert at.shape == rest.shape == moved.shape and np.abs(rest).mean() < 0.1 * np.abs(moved).mean()
 
 
 def diagnosed(data, own=""):
@@ -123,7 +134,13 @@ def test_an_open_interval_ends_where_the_fit_gets_worse():
     measured = with_interval(state.accepted[0], np.array([np.inf]), 0.002, edge)
     assert measured.x == pytest.approx([edge]) and measured.interval.tolist() == [[-13.0, edge]]
     assert not measured.unsure
-    assert worse_from(context, state, 0, np.array([0.1])) is None, "nothing is open"
+    assert worse_from(context, state, 0, np.array([0.1])) == pytest.approx(edge), "its slope is that of one side"
+
+
+def test_a_stop_that_is_met_has_an_interval_of_its_own():
+    """Further out is worse, too."""
+    context, state = with_losses(lambda end: np.full(100, float(abs(end + 2) > 0.5)) * np.arange(100) / 100)
+    assert worse_from(context, state, 0, np.array([0.1])) is None
 
 
 def test_where_the_models_own_value_does_as_well_nothing_is_known():

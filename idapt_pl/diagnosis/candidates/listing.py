@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from idapt_pl.diagnosis.candidates.held_joints import joints_held
-from idapt_pl.diagnosis.candidates.stops_shown import stops_shown
 from idapt_pl.effects import EFFECTS
 from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes
@@ -88,7 +87,7 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
     sizes = TypicalSizes(
         dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, force + tiny, horizon
     )
-    return replace(sizes, effort=np.max(effort, 0) + sizes.torque, stops=stops_shown(model, data))
+    return replace(sizes, effort=np.max(effort, 0) + sizes.torque)
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:

@@ -11,6 +11,7 @@ from scipy.stats import t as student
 from idapt_pl.diagnosis.candidates.fit import split_parameters
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.estimation.intervals import covariance, unknown_variance, unseen
 
@@ -53,7 +54,7 @@ def worse_from(context: SearchContext, state: SearchState, k: int, half: np.ndar
         the interval is finite anyway.
     """
     a, windows = state.accepted[k], state.windows.fit
-    if len(half) > 1 or np.isfinite(half[0]):
+    if len(half) > 1 or (np.isfinite(half[0]) and a.candidate.kind is not JointRange):
         return None
 
     def worse(value: float) -> bool:
@@ -63,12 +64,17 @@ def worse_from(context: SearchContext, state: SearchState, k: int, half: np.ndar
 
     at_best = context.loss(windows, state.effects)
     well, ill = float(a.x[0]), float(a.candidate.nominal[0])
-    if not worse(ill):
-        return None
+    if not worse(ill) or (np.isfinite(half[0]) and worse(far_end(a, well))):
+        return None  # a stop at the furthest that a joint came has a slope on one side
     for _ in range(HALVINGS):
         between = (well + ill) / 2
         well, ill = (well, between) if worse(between) else (between, ill)
     return well
+
+
+def far_end(a: AcceptedEffect, x: float) -> float:
+    """The end of an effect's only parameter that lies beyond ``x``, as seen from nominal."""
+    return float(a.candidate.bounds()[int(x > a.candidate.nominal[0])][0])
 
 
 def systematic_changes(context: SearchContext, state: SearchState) -> list[np.ndarray]:
@@ -88,8 +94,7 @@ def with_interval(a: AcceptedEffect, half: np.ndarray, timestep: float, edge: fl
     it, it is the least change that does, at the ``edge`` (:func:`worse_from`).
     """
     if edge is not None:
-        beyond = a.candidate.bounds()[int(edge > a.candidate.nominal[0])][0]
-        return replace(a, x=np.array([edge]), interval=np.sort([[edge, beyond]], 1))
+        return replace(a, x=np.array([edge]), interval=np.sort([[edge, far_end(a, edge)]], 1))
     if a.candidate.kind in (ActuatorDelay, ActuatorLag):
         half = half + 0.5 * timestep
     low, high = a.candidate.bounds()
