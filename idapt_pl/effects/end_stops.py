@@ -15,6 +15,7 @@ from idapt_pl.effects.joints import per_radian
 OPEN = 1e3
 """Where an end is that a joint does not have, rad or m."""
 LOWER, UPPER = 0, 1
+ENDS = ("lower", "upper")
 """The two ends of a range."""
 
 
@@ -66,10 +67,12 @@ class JointRange(Effect):
         inward, limited = (1, -1)[k], bool(model.jnt_limited[j])
         nominal = float(model.jnt_range[j, k]) if limited else seen - inward * motion
         starts = tuple((seen + inward * share * motion,) for share in (0.0, 0.02, 0.06))
-        end = ("lower", "upper")[k]
+        innermost = seen + inward * 0.5 * motion  # a joint that moved further has no stop there
+        span = (-OPEN, max(innermost, nominal)) if k == LOWER else (min(innermost, nominal), OPEN)
         return Candidate(
-            cls, model.joint(j).name, (end,), (nominal,), (0.1 * motion,), starts, only_stands_for_none=not limited
-        )
+            cls, model.joint(j).name, (ENDS[k],), (nominal,), (0.1 * motion,), starts, span=(span,),
+            only_stands_for_none=not limited,
+        )  # fmt: skip
 
 
 def is_limited(spec: mujoco.MjSpec, joint: Any) -> bool:

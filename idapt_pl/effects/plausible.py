@@ -122,7 +122,7 @@ DATASHEET = "data sheets, batteries and windings are off by tens of per cents, n
 MOTOR = Plausible(0.3, 3.2, "of the model's", DATASHEET)
 TILT = Plausible(-0.26, 0.26, "", "machines are set up by eye and stand within 15° of what was meant")
 PUSHED = Plausible(-0.5, 0.5, "of the weight", "cables and fans pull with a fraction of what the machine weighs")
-ENDS = "cables let a joint turn round twice at most"
+CABLES = "cables let a joint turn round twice at most"
 LATE = "buses and controllers take milliseconds to tens of them; 0.2 s would be a fault of the clocks"
 
 PLAUSIBLE: dict[tuple[str, str], Plausible] = {
@@ -141,7 +141,7 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
         0.0, 3.0, "of what drives it, over 0.1", "a stiffer spring would hold the joint within 0.1 rad (0.1 m)"
     ),
     ("joint_springref", "springref"): Plausible(-3.2, 3.2, "", "half a turn away is as far as an angle goes"),
-    **{("joint_range", end): Plausible(-13.0, 13.0, "", ENDS) for end in ("lower", "upper")},
+    **{("joint_range", end): Plausible(-13.0, 13.0, "", CABLES) for end in ("lower", "upper")},
     ("joint_backlash", "width"): Plausible(0.0, 0.2, "", "worn gears of toys have play of a few degrees"),
     ("joint_cogging", "sine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),
     ("joint_cogging", "cosine"): Plausible(-1.0, 1.0, "of what drives it", "a motor overcomes its own cogging"),

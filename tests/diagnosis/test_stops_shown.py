@@ -1,5 +1,6 @@
 """Stops that recordings show, and what a diagnosis makes of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -141,6 +142,12 @@ def test_a_stop_that_is_met_has_an_interval_of_its_own():
     """Further out is worse, too."""
     context, state = with_losses(lambda end: np.full(100, float(abs(end + 2) > 0.5)) * np.arange(100) / 100)
     assert worse_from(context, state, 0, np.array([0.1])) is None
+
+
+def test_a_stop_that_is_nearer_than_in_the_model_was_met():
+    context, state = with_losses(lambda end: np.zeros(100))
+    nearer = replace(state, accepted=(replace(state.accepted[0], x=np.array([-0.5])),))
+    assert worse_from(context, nearer, 0, np.array([0.1])) is None
 
 
 def test_where_the_models_own_value_does_as_well_nothing_is_known():

@@ -59,5 +59,14 @@ def test_where_the_model_has_no_end_nothing_is_compared_with_it():
         assert found.nominal[0] < -0.5 and min(found.starts) == (-0.5,), "from outside to where it was seen"
 
 
+def test_a_search_keeps_to_ends_that_leave_room():
+    one = np.ones(1)
+    sizes = TypicalSizes(0.02, one, one, one, 2 * one, one, one, 0.2, stops=np.array([[-0.5, 1.5]]))
+    model = mujoco.MjSpec.from_string(XML.format(RADIANS, 'range="-1 2"')).compile()
+    lower, upper = JointRange.candidates(model, sizes)
+    assert lower.bounds()[1] == 0.5 and upper.bounds()[0] == 0.5, "to the middle of the motion"
+    assert with_range(lower.effect([9.0])).jnt_range[0].tolist() == [0.5, 2.0]
+
+
 def test_an_interval_that_is_open_on_one_side_is_told_by_its_near_end():
     assert format_estimate(-0.98765, (-13, -0.98765)) == ("-0.988", "-13 to -0.988")

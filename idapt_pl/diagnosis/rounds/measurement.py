@@ -64,6 +64,8 @@ def worse_from(context: SearchContext, state: SearchState, k: int, half: np.ndar
 
     at_best = context.loss(windows, state.effects)
     well, ill = float(a.x[0]), float(a.candidate.nominal[0])
+    if a.candidate.kind is JointRange and (well > ill) != (a.candidate.names == ("upper",)):
+        return None  # nearer than in the model: it was met
     if not worse(ill) or (np.isfinite(half[0]) and worse(far_end(a, well))):
         return None  # a stop at the furthest that a joint came has a slope on one side
     for _ in range(HALVINGS):
