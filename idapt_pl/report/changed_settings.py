@@ -83,9 +83,9 @@ def span(value: str, others: Sequence[str]) -> str:
 
 def effects_at_ends(diagnosis: Diagnosis) -> Iterator[Effects]:
     """All effects of the repaired model, with one parameter after the other at either end of its interval."""
-    estimates = {e.key: e for e in diagnosis.result.effects}
     for k, effect in enumerate(diagnosis.effects):
-        found = estimates.get((effect.name, effect.target))
+        own = [e for e in diagnosis.result.effects if e.key == (effect.name, effect.target)]
+        found = next((e for e in own if all(getattr(effect, name) is not None for name in e.parameters)), None)
         for name, low_or_high in ends_of(found) if found and effect not in diagnosis.declared else ():
             try:
                 changed: Any = {name: low_or_high}
