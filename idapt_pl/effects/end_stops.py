@@ -67,8 +67,12 @@ class JointRange(Effect):
         inward, limited = (1, -1)[k], bool(model.jnt_limited[j])
         nominal = float(model.jnt_range[j, k]) if limited else seen - inward * motion
         starts = tuple((seen + inward * share * motion,) for share in (0.0, 0.02, 0.06))
-        innermost = seen + inward * 0.5 * motion  # a joint that moved further has no stop there
-        span = (-OPEN, max(innermost, nominal)) if k == LOWER else (min(innermost, nominal), OPEN)
+        innermost = seen + inward * 0.49 * motion  # a joint that moved further has no stop there
+        other = float(model.jnt_range[j, 1 - k]) - inward * 0.01 * motion if limited else inward * OPEN
+        if k == LOWER:
+            span = (-OPEN, max(nominal, min(innermost, other)))
+        else:
+            span = (min(nominal, max(innermost, other)), OPEN)
         return Candidate(
             cls, model.joint(j).name, (ENDS[k],), (nominal,), (0.1 * motion,), starts, span=(span,),
             only_stands_for_none=not limited,

@@ -64,8 +64,12 @@ def test_a_search_keeps_to_ends_that_leave_room():
     sizes = TypicalSizes(0.02, one, one, one, 2 * one, one, one, 0.2, stops=np.array([[-0.5, 1.5]]))
     model = mujoco.MjSpec.from_string(XML.format(RADIANS, 'range="-1 2"')).compile()
     lower, upper = JointRange.candidates(model, sizes)
-    assert lower.bounds()[1] == 0.5 and upper.bounds()[0] == 0.5, "to the middle of the motion"
-    assert with_range(lower.effect([9.0])).jnt_range[0].tolist() == [0.5, 2.0]
+    assert lower.bounds()[1] == pytest.approx(0.48) and upper.bounds()[0] == pytest.approx(0.52), "not quite halfway"
+    assert with_range(lower.effect([9.0])).jnt_range[0] == pytest.approx([0.48, 2.0])
+    narrow = mujoco.MjSpec.from_string(XML.format(RADIANS, 'range="-0.1 0.2"')).compile()
+    lower, upper = JointRange.candidates(narrow, sizes)
+    assert lower.bounds()[1] == pytest.approx(0.18) and upper.bounds()[0] == pytest.approx(0.2)
+    assert with_range(lower.effect([9.0]), own='range="-0.1 0.2"').jnt_range[0] == pytest.approx([0.18, 0.2])
 
 
 def test_an_interval_that_is_open_on_one_side_is_told_by_its_near_end():
