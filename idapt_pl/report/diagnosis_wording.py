@@ -235,9 +235,14 @@ def undecided_sentences(effects: Sequence[EffectEstimate]) -> list[str]:
 
 
 def nearly_named_sentences(result: DiagnosisResult) -> list[str]:
-    """What would take most of the rest off, if it were sure: few of the held-out windows may show it."""
-    rest, named = result.error.after**2 - 1, {e.key for e in result.effects}
-    tried = [c for c in result.candidates if not c.implausible and (c.effect, c.target) not in named]
+    """Where nothing was found: what would take most of the error off, if it were sure. Few windows may show it.
+
+    Beside what was found there is none: what a candidate gained before that is not what it would gain now.
+    """
+    if any(e.effect != "numerics" for e in result.effects):
+        return []
+    rest = result.error.after**2 - 1
+    tried = [c for c in result.candidates if not c.implausible]
     best = max(tried, key=lambda c: c.held_out_gain or 0.0, default=None)
     if best is None or result.error.after < GOOD_ENOUGH or (best.held_out_gain or 0.0) < EXPLAINS * rest:
         return []

@@ -332,6 +332,8 @@ def test_what_would_explain_the_rest_but_is_not_sure_is_told(blocks, after, gain
     said = " ".join(verdict_in_words(result, read_model(blocks).compile()))
     expected = "Nearly named: an end stop of joint x (upper 0.5). It would take 88 % of the rest off, but: gain 7 ± 6"
     assert (expected in said) == told and ("Nearly" in said) == told
+    found = replace(result, verdict=Verdict.UNEXPLAINED_RESIDUAL, effects=[FRICTION])
+    assert "Nearly" not in " ".join(verdict_in_words(found, read_model(blocks).compile())), "its gain is of before"
     beyond = replace(result, candidates=[replace(unsure, implausible=True)])
     assert "Nearly" not in " ".join(verdict_in_words(beyond, read_model(blocks).compile()))
 
