@@ -6,8 +6,10 @@
 
 Effects are drawn by the seed from the single ones of benchmarks/undeclared, none that could pass for another that was
 drawn. Writes results/several_effects.csv: ``exact`` says that each hidden effect is named and nothing else is,
-``missed`` and ``extra`` how many were not named or are not there. An effect counts as named, too, if it is in the
-list of what another one could also be; the table has a column for those where first names alone are exact.
+``missed`` and ``extra`` how many were not named or are not there. One without which the recordings would be the same,
+such as an end stop that no joint comes to, is ``unseen``: it cannot be named, and does not count. An effect counts as
+named, too, if it is in the list of what another one could also be; the table has a column for those where first names
+alone are exact.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ import re
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -31,15 +34,15 @@ from benchmarks.tables import read_rows, write_rows
 from tqdm import tqdm
 
 from benchmarks.diagnosis import estimate
-from benchmarks.undeclared.cases import CASES, FINE, SAME, Answer, Case
-from benchmarks.undeclared.generate import generate
+from benchmarks.undeclared.cases import CASES, FINE, SAME, Answer, Case, Truth
+from benchmarks.undeclared.generate import generate, simulate
 from benchmarks.undeclared.models import MODELS
 from cli.provenance import git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (
-    "model", "hidden", "seed", "truth", "found", "verdict", "exact", "missed", "extra", "before", "after",
+    "model", "hidden", "seed", "truth", "unseen", "found", "verdict", "exact", "missed", "extra", "before", "after",
     "relative_error", "covered", "seconds", "commit",
 )  # fmt: skip
 
@@ -101,6 +104,28 @@ def matched(answers: tuple[tuple[Answer, ...], ...], effects: list[dict]) -> tup
     return len(open_ones), extra
 
 
+def unseen(case: Case, seed: int) -> tuple[str, ...]:
+    """Effects of a case, as ``effect(target)``, without which its recordings would be the same to the last bit."""
+    recorded = simulate(case, seed)
+
+    def matters(k: int) -> bool:
+        others = replace(case, parts=(*case.parts[:k], *case.parts[k + 1 :]))
+        without = simulate(others, seed)
+        return any(not np.array_equal(a.clean, b.clean) for a, b in zip(recorded, without, strict=True))
+
+    return tuple(label(t) for k, t in enumerate(case.truth) if not matters(k))
+
+
+def seen_answers(drawn: Drawn, hidden_away: Sequence[str]) -> tuple[tuple[Answer, ...], ...]:
+    """The answers that are right for those effects that recordings can show."""
+    return tuple(a for a, t in zip(drawn.answers, drawn.case.truth, strict=True) if label(t) not in hidden_away)
+
+
+def label(t: Truth) -> str:
+    """``effect(target)``, without spaces."""
+    return f"{t.effect}({t.target})".replace(" ", "+")
+
+
 def run(model: str, count: int, seed: int) -> dict:
     """Record, diagnose, compare."""
     drawn = draw(model, count, seed)
@@ -111,14 +136,15 @@ def run(model: str, count: int, seed: int) -> dict:
     report = diagnose(spec, data, seed=seed).report
     seconds = time.perf_counter() - started
     physical = [e for e in report["effects"] if e["effect"] != "numerics"]
-    missed, extra = matched(drawn.answers, physical)
+    hidden_away = unseen(drawn.case, seed)
+    missed, extra = matched(seen_answers(drawn, hidden_away), physical)
     shown = [
         f"{e['effect']}({e['target']}) " + " ".join(f"{k}={p['estimate']}" for k, p in e["parameters"].items())
         for e in physical
     ]
     return {
         "model": model, "hidden": count, "seed": seed,
-        "truth": truth_of(drawn),
+        "truth": truth_of(drawn), "unseen": " ".join(hidden_away),
         "found": " + ".join(shown), "verdict": report["verdict"], "exact": int(not missed and not extra),
         "missed": missed, "extra": extra, **{k: report["error"][k] for k in ("before", "after")},
         **estimate(drawn.case, physical), "seconds": round(seconds, 1), "commit": git_commit(),
@@ -131,7 +157,8 @@ def exact_by_first_names(row: dict) -> bool | None:
     if row["truth"] != truth_of(drawn):
         return None
     named = re.findall(r"(\w+)\(([^()]*)\)", row["found"])
-    return matched(drawn.answers, [{"effect": e, "target": t, "equivalent": []} for e, t in named]) == (0, 0)
+    answers = seen_answers(drawn, (row.get("unseen") or "").split())
+    return matched(answers, [{"effect": e, "target": t, "equivalent": []} for e, t in named]) == (0, 0)
 
 
 def truth_of(drawn: Drawn) -> str:
@@ -151,13 +178,14 @@ def summarise(rows: list[dict]) -> str:
             of = [r for r in rows if int(r["hidden"]) == count and (r["model"] in DEVELOPED_ON) == known]
             if not of:
                 continue
-            named = [count - int(r["missed"]) for r in of]
+            shown = [count - len((r.get("unseen") or "").split()) for r in of]
+            named = [n - int(r["missed"]) for n, r in zip(shown, of, strict=True)]
             first = [exact for r in of if (exact := exact_by_first_names(r)) is not None]
             besides = sum(int(r["extra"]) for r in of)
             covered = [float(r["covered"]) for r in of if r["covered"] != ""]
             lines.append(
                 f"| {'developed on' if known else 'others'} | {count} | {len(of)} | {sum(int(r['exact']) for r in of)} "
-                f"| {sum(first)} of {len(first)} | {sum(named)} of {count * len(of)} | {besides} "
+                f"| {sum(first)} of {len(first)} | {sum(named)} of {sum(shown)} | {besides} "
                 f"| {np.mean(covered):.2f} | {np.median([float(r['seconds']) for r in of]):.0f} |"
             )
     return "\n".join(lines)

@@ -35,7 +35,7 @@ def try_implausible(
         what was tried that is not plausible.
     """
     narrow = {(c.label, c.names): c for c in context.candidates}
-    anything = [c for c in context.unlimited if is_narrower(narrow[c.label, c.names])]
+    anything = [c for c in context.unlimited if (n := narrow.get((c.label, c.names))) and is_narrower(n)]
     level = float(context.loss(state.windows.held_out, state.effects).mean())
     floor = FLOOR if context.sim.velocities else SLOPED_FLOOR
     if level < floor or not anything or judges_forces(state.windows.held_out):

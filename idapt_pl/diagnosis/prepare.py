@@ -10,12 +10,13 @@ import numpy as np
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.candidates.listing import all_candidates, in_plausible_ranges, typical_sizes
-from idapt_pl.diagnosis.candidates.stops_shown import stops_shown
+from idapt_pl.diagnosis.candidates.stops_shown import furthest_positions, is_shown, stops_shown
 from idapt_pl.diagnosis.state.context import Progress, SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState, first_state
 from idapt_pl.diagnosis.state.settings import DEFAULT_SETTINGS, SearchSettings
 from idapt_pl.effects.base import EFFECTS, Effect
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.joints import JointBacklash
 from idapt_pl.prediction.data import Recording, as_recordings
 from idapt_pl.prediction.horizon import choose_horizon, noise_windows, usable_episodes
@@ -48,13 +49,15 @@ def begin_with(
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
     sizes = typical_sizes(sim.model, sim.data, steps * sim.control_period)
-    sizes = replace(sizes, stops=stops_shown(sim.model, sim.data))
+    sizes = replace(sizes, stops=furthest_positions(sim))
     begin = sim.spec_with([e for e in declared if not isinstance(e, JointBacklash)])  # that adds joints
     unlimited = choose_candidates(all_candidates(begin, sizes), candidates)
-    considered = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
+    every = in_plausible_ranges(sim.model, sizes, unlimited) if settings.plausible else unlimited
+    ends, shown = [c for c in every if c.kind is JointRange], stops_shown(sim, declared)
+    considered = [c for c in every if c.kind is not JointRange or is_shown(c, sim, shown)]
     without_ranges = unlimited if settings.plausible else ()
     context = SearchContext(
-        sim, declared, considered, without_ranges, *splits, steps, probe, noise, seed, settings, progress
+        sim, declared, considered, without_ranges, ends, *splits, steps, probe, noise, seed, settings, progress
     )
     return context, first_state(context, first_noise)
 

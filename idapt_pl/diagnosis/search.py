@@ -34,6 +34,7 @@ from idapt_pl.diagnosis.rounds.revision import (
     swap_for_rivals,
 )
 from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
+from idapt_pl.diagnosis.rounds.stops_besides import add_stops
 from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, single_for_shared
 from idapt_pl.diagnosis.rounds.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
 from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
@@ -192,13 +193,23 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
         return keep_sure(context, eliminate_needless(context, state)), trials
     begun = select_and_revise(context, (retest_numerics(context, state), ()))
     to_the_end = functools.partial(select_and_revise, context, to_the_end=True)
-    state, trials = begin_otherwise(context, by_forces_if_need_be(context, begun, to_the_end), to_the_end)
+    by_forecasts = with_stops(context, by_forces_if_need_be(context, begun, to_the_end), to_the_end)
+    state, trials = begin_otherwise(context, by_forecasts, to_the_end)
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
         state = eliminate_needless(context, retest_numerics(context, other))
         state, trials = select_and_revise(context, (state, trials))
     return settle(context, state), trials
+
+
+def with_stops(
+    context: SearchContext, progress: Progression, go_on: Callable[[Progression], Progression]
+) -> Progression:
+    """A search, with the end stops that show beside what it found; where there are any it goes on."""
+    state, trials = progress
+    found, tried = add_stops(context, progress, one_round, next_round(trials, state))
+    return (state, tried) if found is state else go_on((found, tried))
 
 
 def settle(context: SearchContext, state: SearchState) -> SearchState:
@@ -327,7 +338,7 @@ def add_one_by_one(context: SearchContext, progress: Progression, most: int) -> 
         number = next_round(trials, state)
         found, new = one_round(context, state, number)
         if found is None:
-            found, more = add_two(context, state, new, lambda s, k: one_round(context, s, k), number + 1)
+            found, more = add_two(context, state, new, one_round, number + 1)
             new = [*(as_accepted(t, found) for t in new), *more]
         trials = (*trials, *new)
         if found is None:

@@ -89,7 +89,9 @@ def clusters_of(episode: np.ndarray, start: np.ndarray, enough: int = FEWEST_CLU
     return out
 
 
-def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> tuple[float, float]:
+def paired_gain(
+    before: np.ndarray, after: np.ndarray, clusters: np.ndarray, *, touched: float = 0.0
+) -> tuple[float, float]:
     """Mean of before - after over windows, and its standard error.
 
     Windows do not overlap, so their noise is independent. That some episodes show an effect more than others is
@@ -99,9 +101,13 @@ def paired_gain(before: np.ndarray, after: np.ndarray, clusters: np.ndarray) -> 
         before: loss of each window, (n,).
         after: the same, with the change, (n,).
         clusters: episode of each window, (n,).
+        touched: what it changes in the mean of an episode must be more than this share of what it changes where it
+            changes most, to count as change: what else is in a model is refitted with it, and that changes a little
+            everywhere.
     """
     gain = before - after
-    changed = [of_one for c in np.unique(clusters) if (of_one := gain[clusters == c]).any()]
-    helped = np.mean([of_one.mean() > 0 for of_one in changed]) if changed else 0.0
+    in_episodes = np.array([gain[clusters == c].mean() for c in np.unique(clusters)])
+    changed = in_episodes[np.abs(in_episodes) > touched * np.abs(in_episodes).max()]
+    helped = float(np.mean(changed > 0)) if len(changed) else 0.0
     error = float(gain.std() / np.sqrt(len(gain)))
     return float(gain.mean()), error if helped >= 0.5 or gain.mean() <= 0 else float("inf")

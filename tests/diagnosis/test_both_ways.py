@@ -21,39 +21,61 @@ def split(n, first):
     return WhitenedWindows(windows, np.zeros((n, 1, 1)))
 
 
-def search(shown, other_way):
-    """Windows that lose 50 where the stop shows and a model has it not at -1; ``other_way``: what a fit finds there."""
+def search(shown, other_way, fitted_shown=FITTED):
+    """Windows that lose 50 where the stop shows and a model has it not at -1; ``other_way``: what a fit finds there.
+
+    It shows in the first ``shown`` held-out windows, and in every ninth of the first ``fitted_shown`` others.
+    """
     held_out, fit = split(HELD_OUT, 0), split(FITTED, 3)
-    shows = {id(held_out): np.arange(HELD_OUT) < shown, id(fit): np.arange(FITTED) % 9 == 0}
     asked = []
 
     def loss(windows, effects):
-        right = any(e.lower == -1.0 for e in effects)
-        return 1.0 + 50.0 * (shows[id(windows)] & (not right))
+        row, of_held_out = windows.windows.start, windows.windows.episode < 3
+        shows = np.where(of_held_out, row < shown, (row % 9 == 0) & (row < fitted_shown))
+        return 1.0 + 50.0 * (shows & (not any(e.lower == -1.0 for e in effects)))
 
     def fitted(windows, fixed, candidates, x, steps):
-        asked.append(windows)
+        asked.append(np.unique(windows.windows.episode).tolist())
         return SimpleNamespace(x=[np.array([other_way])])
 
     state = SimpleNamespace(fixed=(), windows=SimpleNamespace(held_out=held_out, fit=fit))
     context = SimpleNamespace(loss=loss, fit=fitted)
     losses = loss(held_out, ()), loss(held_out, effects_of([END], [np.array([-1.0])]))
-    gained = gain_on_all(context, state, [END], [np.array([-1.0])], (), losses, sure=2.0)
-    return gained, [w is held_out for w in asked]
+    return gain_on_all(context, state, [END], [np.array([-1.0])], (), losses, sure=2.0), asked
 
 
 def test_what_one_window_shows_is_looked_for_in_the_windows_of_the_fit():
     (gain, error), asked = search(shown=1, other_way=-1.0)
-    assert asked == [True], "fitted to the held-out windows"
+    assert asked == [[0, 1, 2]], "fitted to the held-out windows"
     assert gain == pytest.approx(50 * 11 / 120) and gain > 2 * error
 
 
 def test_what_a_fit_to_the_held_out_windows_does_not_find_stays_unsure():
     (gain, error), asked = search(shown=1, other_way=-0.5)
-    assert asked == [True] and 0 < gain < 2 * error
+    assert asked == [[0, 1, 2]] and 0 < gain < 2 * error
 
 
-def test_what_is_sure_or_changes_little_is_not_looked_at_again():
+def test_what_is_sure_is_not_looked_at_again():
     assert search(shown=20, other_way=-1.0)[1] == [], "sure by the held-out windows alone"
-    (gain, _), asked = search(shown=0, other_way=-1.0)
+
+
+def test_what_no_held_out_window_shows_is_judged_by_halves_of_the_others():
+    (gain, error), asked = search(shown=0, other_way=-1.0)
+    one, other = asked
+    assert sorted([*one, *other]) == list(range(3, 12)), "each episode is left out of one fit"
+    assert gain == pytest.approx(50 * 10 / 120) and gain > 2 * error
+
+
+def test_what_the_other_half_does_not_find_is_no_gain():
+    (gain, _), asked = search(shown=0, other_way=-0.5)
+    assert len(asked) == 2 and gain == 0
+
+
+def test_what_one_episode_shows_is_not_judged_by_halves():
+    (gain, _), asked = search(shown=0, other_way=-1.0, fitted_shown=9)
+    assert asked == [] and gain == 0
+
+
+def test_what_changes_nothing_anywhere_is_no_gain():
+    (gain, _), asked = search(shown=0, other_way=-1.0, fitted_shown=0)
     assert asked == [] and gain == 0

@@ -30,7 +30,7 @@ def search(loss):
 def second(candidate):
     """A round that accepts a candidate on top of whatever is there."""
 
-    def one_round(state, round):
+    def one_round(context, state, round):
         effect = AcceptedEffect(round, candidate, np.array([0.5]))
         return replace(state, accepted=(*state.accepted, effect)), []
 

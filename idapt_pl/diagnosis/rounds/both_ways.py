@@ -1,7 +1,7 @@
-"""Where few held-out windows show an effect: also fitted to these, and judged on the windows that fits are made on.
+"""Where few or none of the held-out windows show an effect: fitted to others, and judged on those of the fit as well.
 
 An end stop that a joint meets in one held-out episode of four takes all of the error away there, and that is one number
-to judge by. The other way round, each window is judged by a fit that has not seen it (cross-fitting).
+to judge by; or it is met in none of them. Each window is judged by a fit that has not seen it (cross-fitting).
 """
 
 from __future__ import annotations
@@ -18,11 +18,17 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.estimation.intervals import paired_gain
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.simulator import Effects
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 STEPS_THE_OTHER_WAY = 5
 """Of a fit."""
 MOST_OF_THE_REST = 0.5
 """Share of what is left above noise that it must take away on the held-out windows."""
+
+TOUCHED = 0.05
+"""Share of the change in what shows an effect most, an episode or a window, up to which others do not show it."""
+NEXT_TO_NOTHING = 0.5
+"""Change of the loss of any held-out window, below which it is looked whether others show the effect."""
 
 
 def gain_on_all(
@@ -34,7 +40,9 @@ def gain_on_all(
     held_out: tuple[np.ndarray, np.ndarray],
     sure: float,
 ) -> tuple[float, float]:
-    """What an effect gains, and the standard error of that; on all windows where it gains much and is not sure.
+    """What an effect gains, and the standard error of that; on all windows where the held-out ones cannot tell.
+
+    They cannot where it gains much there and is not sure, or where it changes nothing in any of them.
 
     Args:
         context: of the search.
@@ -47,13 +55,59 @@ def gain_on_all(
     """
     windows = state.windows
     episodes = windows.held_out.windows.episode
-    gain, error = paired_gain(*held_out, episodes)
+    gain, error = paired_gain(*held_out, episodes, touched=TOUCHED)
     left = float(held_out[0].mean())
-    open_question = gain <= sure * error and left > LEFT_OVER and gain > MOST_OF_THE_REST * (left - 1)
-    if not open_question or judges_forces(windows.held_out):
+    if gain > sure * error or judges_forces(windows.held_out):
         return gain, error
-    other = context.fit(windows.held_out, state.fixed, candidates, x, STEPS_THE_OTHER_WAY).x
-    with_it = context.loss(windows.fit, (*state.fixed, *effects_of(candidates, other)))
+    if left > LEFT_OVER and gain > MOST_OF_THE_REST * (left - 1):
+        with_it = loss_by_others(context, state, candidates, x, windows.held_out, windows.fit)
+    elif float(np.abs(np.subtract(*held_out)).max()) < NEXT_TO_NOTHING:
+        halves = halves_that_show(context, state, effects_of(candidates, x), without, held_out)
+        if halves is None:
+            return gain, error
+        with_it = np.empty(len(windows.fit.windows))
+        for half in (halves, ~halves):
+            others, own = (windows.fit[np.flatnonzero(rows)] for rows in (~half, half))
+            with_it[half] = loss_by_others(context, state, candidates, x, others, own)
+    else:
+        return gain, error
     before = np.concatenate([held_out[0], context.loss(windows.fit, without)])
     after = np.concatenate([held_out[1], with_it])
-    return paired_gain(before, after, np.concatenate([episodes, windows.fit.windows.episode]))
+    return paired_gain(before, after, np.concatenate([episodes, windows.fit.windows.episode]), touched=TOUCHED)
+
+
+def loss_by_others(
+    context: SearchContext,
+    state: SearchState,
+    candidates: Sequence[Candidate],
+    x: Sequence[np.ndarray],
+    others: WhitenedWindows,
+    own: WhitenedWindows,
+) -> np.ndarray:
+    """What effects fitted to other windows, from ``x`` on, lose in these, (n,)."""
+    fitted = context.fit(others, state.fixed, candidates, x, STEPS_THE_OTHER_WAY).x
+    return context.loss(own, (*state.fixed, *effects_of(candidates, fitted)))
+
+
+def halves_that_show(
+    context: SearchContext,
+    state: SearchState,
+    effects: Effects,
+    without: Effects,
+    held_out: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray | None:
+    """Half of the episodes that fits are made on, so that both halves show an effect: their windows, (n,) bool.
+
+    None where fewer than two episodes show it, or held-out ones do.
+    """
+    split = state.windows.fit
+    change = np.abs(context.loss(split, (*state.fixed, *effects)) - context.loss(split, without))
+    shown = change > TOUCHED * change.max()
+    if np.abs(np.subtract(*held_out)).max() > TOUCHED * change.max():
+        return None
+    every = split.windows.episode
+    showing = np.unique(every[shown])
+    if len(showing) < 2:
+        return None
+    rest = np.setdiff1d(every, showing)
+    return np.isin(every, np.concatenate([showing[::2], rest[::2]]))

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 BRANCHES = 2
 """Candidates that a second one is tried with."""
 
-Round = Callable[[SearchState, int], tuple[SearchState | None, list[Trial]]]
+Round = Callable[[SearchContext, SearchState, int], tuple[SearchState | None, list[Trial]]]
 """A round of the search: the state with one effect more, or None, and what was tried."""
 
 
@@ -47,7 +47,7 @@ def add_two(
         began = state.with_estimates(first.x[:-1])
         effect = AcceptedEffect(first.round, first.candidate, first.x[-1])
         tentative = refit_accepted(context, renew(context, replace(began, accepted=(*began.accepted, effect))))
-        found, tried = one_round(tentative, round)
+        found, tried = one_round(context, tentative, round)
         if found is None:
             continue
         after = context.loss(state.windows.held_out, found.effects)

@@ -40,6 +40,7 @@ class SearchContext:
         declared: effects known already, applied throughout.
         candidates: effects to consider, in the ranges of what is plausible.
         unlimited: the same without these ranges; empty where they have none.
+        ends: of joints, which are tried where recordings show them to be stops; some of them are among the candidates.
         fit_episodes: numbers of the episodes to fit on.
         held_out_episodes: and of those to judge on; nothing is fitted to them.
         steps: control steps in a window.
@@ -56,6 +57,7 @@ class SearchContext:
     declared: Effects
     candidates: Sequence[Candidate]
     unlimited: Sequence[Candidate]
+    ends: Sequence[Candidate]
     fit_episodes: np.ndarray
     held_out_episodes: np.ndarray
     steps: int
