@@ -142,6 +142,8 @@ def test_a_stop_that_no_held_out_episode_meets_is_found():
     assert len(met) >= 3 and len(calm) >= 4
     found = diagnosed(data, fit=[*met, *calm[4:]], hold_out=calm[:4])
     assert named(found) == [("joint_frictionloss", "hip"), ("joint_range", "hip")]
+    assert "No held-out episode shows joint_range(hip)" in found.next_experiment
+    assert any(f"record more like episode_{k} at" in found.next_experiment for k in met)
 
 
 def test_a_stop_that_is_not_there_is_found_to_be_further_out():
