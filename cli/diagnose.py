@@ -191,9 +191,9 @@ def diagnose_run(o: argparse.Namespace) -> int:
     from idapt_pl.run import Run
 
     run, (data,) = Run.open(o.run), o.data
+    images = read_images(run, data)
     if o.looks:
         report_visual_effects(run, data, o.out, o.seed)
-    images = read_images(run, data)
     source = run.worlds.source_domain
     model, how = source.within_mjcf.spec(), images.diagnose_arguments(source)
     declared = read_effects(o.effects, model) if o.effects else ()

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from cli.arguments import show_bar
+from datamodules.unpaired import read_all
 from idapt_pl.appearance.discovery import discover_visual_effects
 from idapt_pl.effects import Domain, Effect
 from idapt_pl.effects.wording import format_number
@@ -58,8 +59,18 @@ class ImageRecordings:
 
 
 def read_images(run: Run, data: Path) -> ImageRecordings:
-    """Read recordings with the estimator of a run."""
+    """Read recordings with the estimator of a run.
+
+    Raises:
+        ValueError: their images are of another size than those that the run's networks see.
+    """
     worlds, folder = run.worlds, run.folder
+    height, width = read_all([data]).episodes[0].observations["pixels"].shape[1:3]
+    if (height, width) != (worlds.image_size, worlds.image_size):
+        raise ValueError(
+            f"{data}: its images are {height}x{width}, and {folder} reads {worlds.image_size}x{worlds.image_size}. "
+            "Nothing is scaled or cut here: they have to show what the run's own target.h5 shows, in the same size"
+        )
     sensor, G = ImageSensor(run.load_estimator(), worlds.task, worlds.frame_stack), run.load_visual()
     control = [*folder.glob("step_00/source.h5"), *sorted(folder.glob("step_*/control.h5"))][-1]
     return ImageRecordings(sensor, G, control, read_calibrated(sensor, worlds.source_domain, [data], [control], G))

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+from dataclasses import replace
 from types import SimpleNamespace
 
 import h5py
@@ -22,7 +23,7 @@ from torch.utils.data import DataLoader
 from cli.fit import GroundingCLI
 from cli.interrupt import Interrupted
 from cli.main import main
-from datamodules import read_trajectories
+from datamodules import read_trajectories, write_trajectories
 from idapt_pl.effects import effect_from_dict
 from idapt_pl.image_diagnosis.settings import DiscoverySettings
 from idapt_pl.modules import StatePredictor
@@ -474,6 +475,17 @@ def test_where_its_sensor_is_vague_a_recording_of_images_is_diagnosed_by_forecas
     assert list(out.glob("events.out.tfevents.*"))
     assert main([*args, "--fit", "0"]) == 1
     assert "leave --fit and --hold-out away" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_recording_of_images_of_another_size_is_refused(finished_run, tmp_path, capsys):
+    """Networks would look at their middle, and read something else."""
+    recorded, data = read_trajectories(finished_run / "step_00/target.h5"), tmp_path / "wide.h5"
+    pixels = [np.pad(e.observations["pixels"], ((0, 0), (2, 2), (4, 4), (0, 0))) for e in recorded]
+    wide = tuple(replace(e, observations={"pixels": p}) for e, p in zip(recorded, pixels, strict=True))
+    write_trajectories(data, replace(recorded, episodes=wide))
+    assert main(["diagnose", "--data", str(data), "--run", str(finished_run), "--out", str(tmp_path / "out")]) == 1
+    said, (height, width) = " ".join(capsys.readouterr().err.split()), pixels[0].shape[1:3]
+    assert f"{height}x{width}" in said and "target.h5" in said and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
