@@ -30,7 +30,7 @@ from cli.provenance import git_commit
 from idapt_pl.effects import Effect, effect_from_dict
 from idapt_pl.run import Run
 from idapt_pl.stages.encoder import fit_encoder
-from idapt_pl.stages.known_start_search import MEMBERS_JUDGED, RECORDINGS_JUDGED
+from idapt_pl.stages.known_start_search import MEMBERS_JUDGED, RECORDINGS_CHOSEN_BY
 from idapt_pl.stages.refinement import KnownStartForecasts, known_start_forecasts, misfits
 
 KEY = ("run", "window", "effect")
@@ -43,7 +43,7 @@ def forecasts_of(run: Run) -> KnownStartForecasts:
     G = run.load_visual(step / "visual/final.ckpt")
     source_policy = run.load_policy(step / "source_policy/final.ckpt")
     pi = fit_encoder(c, 0, (step / "source.h5",), run.config.schedule.pretrain.estimator, G, source_policy)
-    paired, sizes = run.config.schedule.paired_steps, (RECORDINGS_JUDGED, MEMBERS_JUDGED)
+    paired, sizes = run.config.schedule.paired_steps, (RECORDINGS_CHOSEN_BY, MEMBERS_JUDGED)
     return known_start_forecasts(c, [step / "target.h5"], step / "control.h5", G, pi, 7, *sizes, paired)[0]
 
 

@@ -158,7 +158,7 @@ def main(args: list[str]) -> int:
         p.error(f"--max-effects must be at least 1, got {o.max_effects}")
     if o.out.exists() and not o.out.is_dir():
         raise ValueError(f"{o.out}: --out is a file; name a folder")
-    for name in WRITTEN:
+    for name in (*WRITTEN, *(f"mended_{i}.h5" for i in range(len(o.data)))):
         keep_inputs(o.out / name, [o.model, *o.data, o.effects])
     keep_inputs(o.out, [o.run])
     check_ranges("", vars(o), {"seed": Range(0, 2**31 - 1), "threads": Range(1, 1024), "fdr": Range(0, 1, "()")})

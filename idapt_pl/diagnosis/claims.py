@@ -31,7 +31,9 @@ def claim(found: Diagnosis, rate: float) -> Diagnosis:
     if not doubtful:
         return replace(found, result=replace(found.result, false_discovery_rate=rate))
     state, context, left_out = found.state, found.context, {e.key for e in doubtful}
-    state = replace(state, fixed=tuple(e for e in state.fixed if (e.name, e.target) not in left_out))
+    state = replace(
+        state, fixed=tuple(e for e in state.fixed if e in found.declared or (e.name, e.target) not in left_out)
+    )
     for a in state.accepted:
         if (a.candidate.kind.name, a.candidate.target) not in kept:
             state = state.without(a)

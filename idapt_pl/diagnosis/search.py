@@ -168,10 +168,12 @@ def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
     other = explained_by_library(context, found.state, search.hint) if search.hint and not again else None
     if other is not None:
         state, trials = select_and_revise(context, (other, found.trials))
-        return with_laws(judge(context, (settle(context, state), trials)), again=True)
-    seconds = time.perf_counter() - started
-    state, result = add_laws(context, search, found.trials, found.result, seconds)
-    result = replace(result, changes=found.result.changes, runtime_s=found.result.runtime_s)
+        judged = judge(context, (settle(context, state), trials))
+        kept = replace(judged.result, splits=found.result.splits, runtime_s=found.result.runtime_s)
+        return with_laws(replace(judged, result=kept), again=True)
+    seconds, known = time.perf_counter() - started, found.result
+    state, result = add_laws(context, search, found.trials, known, seconds)
+    result = replace(result, changes=known.changes, splits=known.splits, runtime_s=known.runtime_s)
     held_out = state.windows.held_out.windows
     return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
@@ -316,8 +318,8 @@ def search_by_forces(context: SearchContext, progress: Progression) -> Progressi
     A quick look has no time for more than that.
     """
     old = progress[0]
-    begun = begin_with_usual_causes(context, replace(old, accepted=()))
-    state, trials = (begun, ()) if context.hurried else select_and_revise(context, (begun, ()), FIRST_EFFECTS)
+    begun = begin_with_usual_causes(context, replace(old, accepted=())), progress[1]
+    state, trials = begun if context.hurried else select_and_revise(context, begun, FIRST_EFFECTS)
     if level(context, replace(state, accepted=old.accepted)) < level(context, state):
         return progress
     return state, trials

@@ -56,8 +56,8 @@ def search_again(found: Diagnosis, held_out: np.ndarray) -> Mapping[Key, Mapping
 
 def chosen(context: SearchContext, state: SearchState) -> dict[Key, dict[str, float]]:
     """Effects of the library that a search chose, with their values."""
-    effects = {
-        (a.candidate.kind.name, a.candidate.target): dict(zip(a.candidate.names, map(float, a.x), strict=True))
-        for a in state.accepted
-    }
+    effects: dict[Key, dict[str, float]] = {}
+    for a in state.accepted:  # both ends of a joint are one entry
+        own = effects.setdefault((a.candidate.kind.name, a.candidate.target), {})
+        own.update(zip(a.candidate.names, map(float, a.x), strict=True))
     return effects | {e.key: {} for e in found_numerics(context, state)}

@@ -17,6 +17,9 @@ HARMONICS = 6
 RAMP = 0.5
 """Seconds in which a motion begins and ends; a sixth of it where it is shorter."""
 
+NO_ROOM = 0.05
+"""Share of a command's range within which of its end a command that a motion is added to has no room there."""
+
 
 @dataclass(frozen=True)
 class FourierMotion:
@@ -60,9 +63,13 @@ class FourierMotion:
         return (x.reshape(len(ratio), -1) / ratio[:, None]).ravel()
 
     def overshoot(self, change: np.ndarray) -> np.ndarray:
-        """By how much changes (n, T, nu) go beyond the room that commands have, at least 1, (n, nu)."""
+        """By how much changes (n, T, nu) go beyond the room that commands have, at least 1, (n, nu).
+
+        Where the base leaves next to no room, commands stay at their limit, and the rest of the motion is as it was.
+        """
         room = np.where(change > 0, self.command[:, 1] - self.around, self.around - self.command[:, 0])
-        ratio = np.abs(change) / np.maximum(room, 1e-9)
+        narrow = room < NO_ROOM * (self.command[:, 1] - self.command[:, 0])
+        ratio = np.where(narrow, 0.0, np.abs(change) / np.where(narrow, 1.0, room))
         return np.maximum(ratio.max(1), 1.0)
 
     def random(self, rng: np.random.Generator, n: int) -> np.ndarray:

@@ -25,7 +25,7 @@ class Strays:
         self._low, self._high = space.low, space.high
         self._rng = np.random.default_rng([seed, 1])
         self._left, self._held = np.zeros(env.num_envs, int), np.zeros_like(space.low)
-        self._often = share / (1 - share) / ((1 + self.LONGEST) / 2)
+        self._often = share / (share + (1 - share) * (1 + self.LONGEST) / 2)  # that one begins where none goes on
 
     def __call__(self, actions: np.ndarray) -> np.ndarray:
         """Actions (n, nu), some of them others."""

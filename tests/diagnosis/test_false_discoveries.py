@@ -43,6 +43,11 @@ def test_a_law_is_less_probable_than_a_known_effect():
     assert probable["learned_force", "elbow"] < probable["joint_damping", "shoulder"]
 
 
+def test_where_something_else_is_surely_missing_what_was_found_has_no_probability():
+    told = [explained(0.0, DAMPING, standing=Standing.FOUND), explained(0.0, FRICTION)]
+    assert effect_probabilities(told) == {("joint_damping", "shoulder"): 0.0}
+
+
 def test_nothing_found_is_nothing_probable():
     assert effect_probabilities([]) == {}
 
@@ -98,6 +103,15 @@ def test_what_is_doubtful_is_told_and_not_in_the_model(two_found):
     assert [e.name for e in claimed.effects] == ["joint_damping"]
     assert claimed.result.error.after > two_found.result.error.after
     assert claimed.report["explanations"] == two_found.report["explanations"]
+
+
+def test_what_the_user_declared_stays_in_the_model(two_found):
+    """Also beside an effect of the same kind on the same joint that is doubtful."""
+    given = JointArmature("elbow", 0.005)
+    state = replace(two_found.state, fixed=(given, *two_found.state.fixed))
+    told = doubting(replace(two_found, state=state, declared=(given,)), shoulder=0.99, elbow=0.6)
+    claimed = claim(told, 0.05)
+    assert given in claimed.effects and [e.name for e in claimed.effects] == ["joint_armature", "joint_damping"]
 
 
 def test_a_black_box_is_named_by_the_same_rate(two_found):

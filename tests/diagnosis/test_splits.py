@@ -2,6 +2,8 @@
 
 import json
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +11,13 @@ from arm import ARM, found, record
 
 from cli.main import main
 from datamodules import write_trajectories
+from idapt_pl.diagnosis import search
 from idapt_pl.diagnosis.answer.split_report import SplitReport, SplitSearch
 from idapt_pl.diagnosis.prepare import quarters
-from idapt_pl.diagnosis.splits import with_splits
+from idapt_pl.diagnosis.splits import chosen, with_splits
+from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
+from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.prediction.data import UnusableData
 from idapt_pl.report.split_section import split_section, split_sentences
 
@@ -51,6 +57,20 @@ def test_episodes_that_the_user_chose_leave_no_others_to_hold_out():
     diagnosis, _ = found(record(episodes=4), threads=1, hold_out=[0, 1], fit=[2, 3])
     with pytest.raises(UnusableData, match="no other episodes"):
         with_splits(diagnosis)
+
+
+def test_a_search_for_laws_keeps_the_count(monkeypatch):
+    diagnosis, _ = found(record(DAMPED, episodes=8), threads=1, candidates=["joint_damping"], laws=False)
+    counted = replace(diagnosis, result=replace(diagnosis.result, splits=COUNTED, runtime_s=3.0))
+    monkeypatch.setattr(search, "search_laws", lambda context, state: SimpleNamespace(hint=None))
+    monkeypatch.setattr(search, "add_laws", lambda context, *of: (diagnosis.state, diagnosis.result))
+    assert search.with_laws(counted).result.splits is COUNTED and search.with_laws(counted).result.runtime_s == 3.0
+
+
+def test_both_ends_of_a_joint_are_one_entry():
+    ends = [Candidate(JointRange, "elbow", (end,), (x,), (0.1,)) for end, x in (("lower", -1.0), ("upper", 1.0))]
+    state = SearchState((), tuple(AcceptedEffect(k, c, np.array([0.5 * k])) for k, c in enumerate(ends)), None)
+    assert chosen(None, state) == {("joint_range", "elbow"): {"lower": 0.0, "upper": 0.5}}
 
 
 COUNTED = SplitReport(

@@ -48,6 +48,14 @@ def test_recorded_commands_are_added_to(motion):
     assert np.allclose(u[:, 0], base[0]) and (u <= RANGE[:, 1] + 1e-12).all()
 
 
+def test_a_base_at_its_limit_leaves_the_rest_of_the_motion():
+    """A policy's commands often are there; the series is cut at these steps alone."""
+    base = np.stack([np.where(np.arange(150) % 50 < 10, 0.5, -0.2), np.zeros(150)], 1)
+    added = fourier_motion(base, RANGE, 0.02, 2.0)
+    u = added.commands(added.random(np.random.default_rng(0), 20))
+    assert np.median(np.abs(u - base)[:, :, 0].max(1)) > 0.1 and (u <= RANGE[:, 1] + 1e-12).all()
+
+
 def test_an_envelope_is_smooth_and_symmetric():
     w = envelope(100, 0.02)
     assert w[0] == w[-1] == 0 and w[50] == 1 and np.allclose(w, w[::-1])

@@ -59,6 +59,13 @@ def env(cart):
     env.close()
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.9])
+def test_strays_take_the_share_that_was_asked_for(share, env):
+    strays, chosen = Strays(env, share, seed=1), np.zeros((2, 1))
+    played = np.array([strays(chosen) for _ in range(8000)])
+    assert (played != 0).mean() == pytest.approx(share, abs=0.03)
+
+
 def test_strays_take_their_share_of_the_steps_are_held_and_stay_within_bounds(env, teacher):
     played, strays = np.zeros((4000, 2, 1)), Strays(env, 0.3, seed=1)
     chosen = np.zeros((2, 1))

@@ -8,7 +8,7 @@ import pytest
 from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import Candidate
-from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.joints import JointArmature, JointDamping
 from idapt_pl.envs import VectorStateEnv
 from idapt_pl.smoothing import ReadRecording, RecordingSmoother, reading_model
 from idapt_pl.stages.known_start_search import (
@@ -133,6 +133,27 @@ def test_all_candidates_are_glanced_at_and_the_best_are_tried_on_more_recordings
     stayed = {t for n, t in asked if n == RECORDINGS_TRIED} - {None}
     assert stayed == {c.target for c, _, _ in found} == {str(i) for i in range(8)} and found[0][0].target == "3"
     assert {n for n, _ in asked} == {RECORDINGS_GLANCED, RECORDINGS_TRIED}
+
+
+def test_what_all_joints_share_is_tried_on_more_recordings_whatever_a_glance_says():
+    candidates = [Candidate(BodyMass, str(i), ("mass",), (1.0,), (0.5,)) for i in range(20)]
+    shared, asked = Candidate(JointArmature, "*", ("armature",), (1.0,), (0.5,)), []
+
+    class Misled(Counted):
+        def first(self, recordings):
+            return Misled(recordings, self.asked, self.members)
+
+        def roughly(self, members):
+            return Misled(self.recordings, self.asked, members)
+
+        def __call__(self, effects):
+            if effects and effects[0].target == "*":
+                self.asked.append((self.recordings, "*"))
+                return np.full(self.recordings, 9.0 if self.recordings == RECORDINGS_GLANCED else -1.0)
+            return super().__call__(effects)
+
+    found = screened([*candidates, shared], Misled(60, asked))
+    assert found[0][0] is shared and (RECORDINGS_GLANCED, "*") in asked
 
 
 class OfTwoKinds:

@@ -140,8 +140,8 @@ def find_changes(context: SearchContext, state: SearchState) -> tuple[ChangeRepo
     if np.mean(robust_loss(z)) > LEFT_OVER and sum(f.finding.removed_share for f in found[:1]) < MOST_OF_REST:
         others = other_candidates(context, state, at.order)
         tested += len(others)
-        found = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
-        found = [f for f in found if f.finding.removed_share > MOST_OF_REST] or found[-1:] * bool(accepted)
+        every = [*changing_ones(context, state, at, z, others, accepted, shapes, clusters)[:1], *found]
+        found = [f for f in every if f.finding.removed_share > MOST_OF_REST] or found[:1]
     told = [simulated(context, state, at, f) for f in found]
     return (ChangeReport(tested, told) if tested else None), state
 

@@ -37,11 +37,11 @@ def effect_probabilities(explanations: Sequence[Explanation]) -> dict[Key, float
     """
     found = next((e for e in explanations if e.standing is Standing.FOUND), None)
     told = sum(e.probability for e in explanations)
-    if found is None or told <= 0:
+    if found is None:
         return {}
     made = {}
     for effect, key in zip(found.effects, keys(found), strict=True):
-        share = sum(e.probability for e in explanations if key in keys(e)) / told
+        share = sum(e.probability for e in explanations if key in keys(e)) / told if told > 0 else 0.0
         usual = 1.0 if effect.effect.searched else OUTSIDE_LIBRARY
         made[key] = round(share * (1.0 - STAND_IN * max(1.0 - told, 0.0)) * usual, 4)
     return made
