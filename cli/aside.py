@@ -87,9 +87,9 @@ class OtherProcesses:
 
 def why(told: str, code: int, name: str) -> str:
     """What to say of work that failed."""
-    try:
-        return str(json.loads(told)["error"])
-    except (ValueError, KeyError, TypeError):
+    try:  # a user's task may have printed before
+        return str(json.loads(told.strip().splitlines()[-1])["error"])
+    except (ValueError, KeyError, TypeError, IndexError):
         how = f"was ended by signal {-code}" if code < 0 else f"failed with exit code {code}"
         return f"the process for {name.replace('_', ' ')} {how}; the same command goes on from what is done"
 

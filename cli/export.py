@@ -68,7 +68,7 @@ def chosen_checkpoint(run: Run, step: int | None) -> Path:
 
 
 def recorded_stacks(run: Run, checkpoint: Path) -> tuple[np.ndarray, Path]:
-    """Frame stacks (T+1, K, S, S, 3) of an episode of the target (or the source, if that is all), and its file."""
+    """Frame stacks (T, K, S, S, 3) of an episode of the target (or the source, if that is all), and its file."""
     recordings = [*run.folder.glob("step_*/target.h5"), run.folder / "step_00/source.h5"]  # of one step the target's
     path = max(p for p in recordings if p.parent.name <= checkpoint.parent.parent.name)
     longest = max(read_all([path]), key=len)

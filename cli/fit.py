@@ -121,7 +121,7 @@ def one_device(trainer: Namespace) -> int | str | list[int]:
 
 def current(argument: str) -> str:
     """A config of an earlier version as text that this one parses; any other argument as it is."""
-    path = Path(argument)
+    option, path = "--config=" * argument.startswith("--config="), Path(argument.removeprefix("--config="))
     if path.name != "config.yaml" or not path.is_file():
         return argument
     try:
@@ -129,7 +129,7 @@ def current(argument: str) -> str:
     except ValueError:
         return argument  # the parser says what is wrong with it
     kept = without_retired(entries) if isinstance(entries, dict) else entries
-    return argument if kept == entries else yaml.safe_dump(kept, sort_keys=False)
+    return argument if kept == entries else option + yaml.safe_dump(kept, sort_keys=False)
 
 
 def open_aside(folder: Path, aside: Aside) -> Run:

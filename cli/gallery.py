@@ -35,7 +35,7 @@ def main(args: list[str]) -> int:
     shown_tasks = [make_task(name, o.task_options if ":" in name else None) for name in o.task]
     text = gallery_page(shown_tasks, o.image_size, learned=learned)
     path = o.out / "index.html"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     print(path)
     return 0
 

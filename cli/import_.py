@@ -100,6 +100,8 @@ def _options(args: list[str]) -> argparse.Namespace:
         p.error("--draft-map needs --model, whose joints and actuators it looks for")
     if o.draft_map is not None and o.out is not None:
         p.error("--draft-map writes no trajectory file; leave --out out, and give both in the next call")
+    if o.draft_map is not None and (o.dry_run or o.repair or o.period is not None):
+        p.error("--draft-map only writes a map: give --dry-run, --repair and --period in the next call")
     if o.map is not None and o.out is None and not o.dry_run:
         p.error("--out is required, or --dry-run to write nothing")
     return o

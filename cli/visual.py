@@ -6,6 +6,7 @@ import logging
 import shlex
 import sys
 import warnings
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from cli import visual_export
 from cli.interrupt import resumable
-from cli.provenance import write_provenance
+from cli.provenance import claim, write_provenance
 from cli.run_folder import resumed_in_place
 from cli.visual_quality import TranslationQuality
 from cli.visual_writer import TranslationWriter
@@ -155,9 +156,6 @@ class VisualCLI(LightningCLI):
             log.info("going on from %s", last)
         if self.options.ckpt_path is not None:
             VisualTransformation.from_checkpoint(Path(self.options.ckpt_path))  # says what is wrong with it
-        metrics = self.run_dir / "metrics.csv"
-        if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
-            metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")
         self.options.weights_only = True
 
     def trained_model(self) -> VisualTransformation:
@@ -197,8 +195,13 @@ class VisualCLI(LightningCLI):
                 self.trainer.strategy.root_device,
                 shlex.quote(str(self.run_dir)),
             )
-        with resumable(self.run_dir, "idapt visual fit", "epochs", "last.ckpt"), self.health.explaining(self.model):
-            self.trainer.fit(**arguments)
+        alone = claim(self.run_dir) if self.trainer.is_global_zero else nullcontext()
+        with alone, resumable(self.run_dir, "idapt visual fit", "epochs", "last.ckpt"):
+            metrics = self.run_dir / "metrics.csv"
+            if metrics.exists() and self.trainer.is_global_zero:  # CSVLogger begins the file anew
+                metrics.rename(self.run_dir / f"metrics_{len(list(self.run_dir.glob('metrics_*.csv')))}.csv")
+            with self.health.explaining(self.model):
+                self.trainer.fit(**arguments)
         self.health.running_away(self.model, self.datamodule)
         if self.trainer.is_global_zero:
             log.info("%d epochs done -> %s", self.trainer.current_epoch, self.run_dir / "last.ckpt")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -44,6 +45,8 @@ class TranslationWriter(BasePredictionWriter):
             raise ValueError(f"predictions.out is {self.out}, but {images.where} becomes {wanted}")
         places = trainer.datamodule.places[trainer.datamodule.predicted]
         keep_inputs(self.out, [places] if isinstance(places, str) else places if isinstance(places, list) else [])
+        if isinstance(images, StillImages):
+            check_distinct([Path(name).with_suffix(".png") for name in images.names], images.where)
         if isinstance(images, TrajectoryImages) and trainer.world_size > 1:
             raise ValueError("a trajectory file is written by one process: use --trainer.devices 1")
 
@@ -73,6 +76,17 @@ class TranslationWriter(BasePredictionWriter):
         if isinstance(images, TrajectoryImages):
             write_trajectories(self.out, translated(images, self.frames))
         log.info("%d images of %s translated -> %s", len(images), images.where, self.out)
+
+
+def check_distinct(written: list[Path], where: object) -> None:
+    """Refuse images whose translations would have one name.
+
+    Raises:
+        ValueError: naming it.
+    """
+    twice = next((str(path) for path, n in Counter(written).items() if n > 1), None)
+    if twice:
+        raise ValueError(f"{where} has several images whose translations would all be {twice}: rename them")
 
 
 def predicted(trainer: L.Trainer) -> StillImages | TrajectoryImages:

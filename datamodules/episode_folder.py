@@ -62,7 +62,7 @@ def read_action_names(path: Path) -> list[str]:
 
 def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     """A table's first row, if it is none of numbers, and the others."""
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8-sig") as file:
         rows = [row for row in csv.reader(file) if row]
     return (rows[0], rows[1:]) if rows and not is_finite_number(rows[0][0]) else ([], rows)
 

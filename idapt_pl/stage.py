@@ -128,6 +128,7 @@ class Stages:
         started, notes, attempt = time.perf_counter(), {TRAIN_AGAIN: batches > 0}, 0
         health = Health(f"step {step}, stage {name}")
         while notes.pop(TRAIN_AGAIN, False):
+            health = Health(health.where) if attempt else health  # early and late are those of one attempt
             logs = folder / f"again_{attempt + 1}" if attempt else folder  # curves that begin anew are not mixed
             trainer = self.make_trainer(logs, batches)
             trainer.callbacks += [self.cores, health]

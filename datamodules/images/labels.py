@@ -52,7 +52,7 @@ def from_csv(path: Path) -> tuple[list[str], np.ndarray]:
     Raises:
         ImageError: naming the file, what was expected and what came.
     """
-    with open(path, newline="") as f:
+    with open(path, newline="", encoding="utf-8-sig") as f:
         rows = list(csv.DictReader(f))
     if not rows or "file" not in rows[0]:
         raise ImageError(f"{path}: expected a header line with a column 'file', and a line for each image")

@@ -152,10 +152,10 @@ def answer(robot: Robot, request: dict) -> list[bytes]:
         if request["do"] == "reset":
             put_to_rest(robot)
             return shown(robot, robot.reset(request.get("seed")), {})
-        action = np.clip(np.asarray(request["action"], float), robot.low, robot.high)
-        if not np.isfinite(action).all():
-            raise ValueError("an action is not finite")
-        image, told = robot.step(action)
+        action = np.asarray(request["action"], float)
+        if action.shape != np.shape(robot.low) or not np.isfinite(action).all():
+            raise ValueError(f"an action is {action.tolist()}; expected {np.size(robot.low)} finite numbers")
+        image, told = robot.step(np.clip(action, robot.low, robot.high))
         if told.get("over"):
             put_to_rest(robot)
         return shown(robot, image, told)

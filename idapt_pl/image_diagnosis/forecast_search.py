@@ -148,11 +148,13 @@ def screen_by_states(now: Domain, candidates: Sequence[Candidate], quick: Foreca
 
 
 def first_values(c: Candidate) -> list[float]:
-    """Values of a candidate's parameter that are tried first."""
+    """Values of a candidate's parameter that are tried first; in both directions where it goes in both from 0."""
     (low,), (high,) = c.bounds()
     (nominal,), (scale,) = c.nominal, c.scale
     at = [nominal * f for f in NOMINAL_FACTORS if nominal] + [nominal + scale * f for f in SCALE_MULTIPLES]
-    return sorted({float(x) for x in at if low < x <= high and x > 0 and x != nominal})
+    ahead = {float(x) for x in at if low < x <= high and x > 0 and x != nominal}
+    back = {-x for x in ahead if not nominal and low <= -x}
+    return sorted(ahead | back)
 
 
 def indistinguishable_forecasts(best: ForecastTrial, other: ForecastTrial) -> bool:
@@ -171,30 +173,32 @@ def bracket_minimum(now: Domain, t: ForecastTrial, exact: Forecaster, seed: int)
     """A candidate at its first value, to either side, and where a parabola through these is lowest."""
     sides = (evaluate_at(now, t.candidate, t.x * np.exp(d), exact, seed) for d in (-BRACKET_STRIDE, BRACKET_STRIDE))
     tried = [t, *sides]
-    return [*tried, evaluate_at(now, t.candidate, np.exp(parabola_minimum(*score_curve(tried))[0]), exact, seed)]
+    lowest = np.copysign(np.exp(parabola_minimum(*score_curve(tried))[0]), t.x)
+    return [*tried, evaluate_at(now, t.candidate, lowest, exact, seed)]
 
 
 def refine_estimate(now: Domain, tried: Sequence[ForecastTrial], exact: Forecaster, seed: int) -> ForecastTrial:
     """The lowest point of a parabola through scores of values all around it, with an interval if it is among them."""
     middle, _ = parabola_minimum(*score_curve(tried))
-    c = tried[0].candidate
-    tried = [*tried, *(evaluate_at(now, c, np.exp(middle + d), exact, seed) for d in REFINED_AT)]
+    c, sign = tried[0].candidate, np.sign(tried[0].x)
+    tried = [*tried, *(evaluate_at(now, c, sign * np.exp(middle + d), exact, seed) for d in REFINED_AT)]
     best, (middle, among) = min(tried, key=lambda t: t.score), parabola_minimum(*score_curve(tried))
     if not among:
         return best
     half = minimum_uncertainty(score_curve(tried)[0], np.stack([t.scores for t in tried]))
-    return replace(best, x=np.exp(middle), interval=(np.exp(middle - half), np.exp(middle + half)))
+    low, high = sorted(sign * np.exp([middle - half, middle + half]))
+    return replace(best, x=sign * np.exp(middle), interval=(low, high))
 
 
 def score_curve(tried: Sequence[ForecastTrial]) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of the values tried, (k,), and the scores there, (k,)."""
-    return np.log([t.x for t in tried]), np.array([t.score for t in tried])
+    """Logarithms of the values tried (of their sizes: they have one sign), (k,), and the scores there, (k,)."""
+    return np.log(np.abs([t.x for t in tried])), np.array([t.score for t in tried])
 
 
 def evaluate_at(now: Domain, c: Candidate, x: float, exact: Forecaster, seed: int) -> ForecastTrial:
-    """A candidate at a value, moved inside its bounds."""
+    """A candidate at a value, moved inside its bounds; its sign stays."""
     (low,), (high,) = c.bounds()
-    x = float(np.clip(x, max(low, 1e-12), high))
+    x = float(np.clip(x, max(low, 1e-12), high) if x > 0 else np.clip(x, low, min(high, -1e-12)))
     return ForecastTrial(c, x, exact.scores(now.with_effects(c.effect([x])), seed))
 
 

@@ -131,6 +131,7 @@ def write_diagnosis(
     write_atomically(folder / "report.html", lambda path: path.write_text(html, encoding="utf-8"))
     log_diagnosis(folder, diagnosis, drawn)
     write_bytes(folder / "unrepaired.xml", repaired.nominal.encode())
+    (folder / "patched.xml").unlink(missing_ok=True)  # an older one would stand beside effects that it has not
     write_atomically(folder / "patched.xml", lambda path: write_loadable_model(path, repaired.patched))
 
 

@@ -39,7 +39,7 @@ def write_run_report(run: Run, path: Path | None = None) -> Path:
     """Write ``report.html`` of a run, finished or not, from its folder; nothing is simulated. Returns its path."""
     path = path or run.folder / "report.html"
     text = run_page(read_run_record(run.folder), run)
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return path
 
 

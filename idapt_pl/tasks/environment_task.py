@@ -71,8 +71,10 @@ class EnvironmentTask(Task):
         for motor in spec.actuators:  # effects need names
             motor.name = motor.name or motor.target
         names = [camera.name for camera in spec.cameras]
-        if CAMERA in names:
+        if CAMERA in names and self.camera in (None, CAMERA):
             return spec
+        if CAMERA in names:
+            spec.cameras[names.index(CAMERA)].name = f"{CAMERA} of {self.name}"
         chosen = self.camera or self.usual_camera(names)
         if isinstance(chosen, str):
             if chosen not in names:

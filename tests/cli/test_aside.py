@@ -55,6 +55,7 @@ def test_what_went_wrong_is_told_by_the_command_that_waits(unmeasured):
 def test_an_end_without_a_word_is_explained():
     assert "ended by signal 9; the same command goes on" in why("", -9, "evaluation_0")
     assert "exit code 3" in why("not json", 3, "evaluation_0")
+    assert why('the robot says hello\n{"error": "no camera"}\n', 1, "evaluation_0") == "no camera"
 
 
 @pytest.mark.parametrize("after", [0.0, 0.2, 0.5, 1.0])

@@ -153,6 +153,7 @@ def test_drafts_of_damaged_inputs(name, seed, folder):
     ["import", "a.csv", "--draft-map", "d.yaml"], ["import", "a.csv", "--draft-map", "map.yaml", "--model", "model.xml"],
     ["import", "none.csv", "--draft-map", "d.yaml", "--model", "model.xml"], ["import", "a.csv", "--draft-map", "a.csv/d.yaml", "--model", "model.xml"],
     ["import", "a.csv", "--draft-map", "d.yaml", "--model", "none.xml"], ["import", "a.csv", "--draft-map", "d.yaml", "--model", "model.xml", "--out", "o.h5"],
+    ["import", "a.csv", "--draft-map", "d.yaml", "--model", "model.xml", "--dry-run"],
     ["import", ".", "--draft-map", "d.yaml", "--model", "model.xml"], ["import", "a.csv", "--draft-map", ".", "--model", "model.xml"],
     ["import", "door/human-v2", "--map", "map.yaml", "--out", "o.h5"], ["import", "a.csv", "--map", "map.yaml", "--model", "a.csv", "--out", "o.h5"],
     ["import", "\x00", "--map", "map.yaml", "--out", "o.h5"], ["import", "x" * 5000, "--map", "map.yaml", "--out", "o.h5"],

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from datamodules import Episode
+from idapt_pl.effects.actuators import ActuatorBias
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
@@ -143,6 +144,21 @@ def test_an_estimate_goes_to_the_lowest_point_and_its_interval_knows_of_episodes
     of_a_mean = 2.201 * Valley.lowest.std(ddof=1) / np.sqrt(12)  # Student's t, 11 degrees of freedom
     half = np.hypot(of_a_mean, 1.96 * SYSTEMATIC_LOG_STD)
     assert np.log(found.interval) == pytest.approx(np.log(found.x) + np.array([-half, half]), rel=0.01)
+
+
+def test_a_value_below_zero_is_looked_for_too():
+    """Commands that are shifted down."""
+
+    class Shifted:
+        def scores(self, domain, seed):
+            shift = sum(e.bias for e in domain.effects if e.name == "actuator_bias")
+            return 1.0 + np.square(np.log(max(-shift, 1e-3) / 0.4)) + 0.01 * np.linspace(-1, 1, 12)
+
+    bias = Candidate(ActuatorBias, "slide", ("bias",), (0.0,), (0.5,))
+    assert [x for x in first_values(bias) if x < 0] == pytest.approx([-1.5, -0.5, -0.15])
+    start = evaluate_at(SOURCE, bias, -0.5, Shifted(), 0)
+    found = refine_estimate(SOURCE, bracket_minimum(SOURCE, start, Shifted(), 0), Shifted(), 0)
+    assert found.x == pytest.approx(-0.4, rel=0.01) and found.interval[0] < found.x < found.interval[1] < 0
 
 
 def test_no_interval_where_the_lowest_point_is_beyond_what_was_tried():

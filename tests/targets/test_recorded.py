@@ -51,6 +51,15 @@ def as_folder(folder, episode, ending="png", header="force"):
 
 
 @pytest.mark.parametrize("header", ["force", ""])
+def test_a_table_from_a_spreadsheet_begins_with_a_mark_of_its_encoding(tmp_path, header):
+    (episode,) = episodes(1)
+    folder = as_folder(tmp_path / "a", episode, header=header)
+    table = folder / "actions.csv"
+    table.write_text(table.read_text(), encoding="utf-8-sig")
+    np.testing.assert_allclose(read_episode_folder(folder).actions, episode.actions, atol=1e-6)
+
+
+@pytest.mark.parametrize("header", ["force", ""])
 def test_a_folder_of_pictures_and_a_table_is_an_episode(tmp_path, header):
     (episode,) = episodes(1)
     read = read_episode_folder(as_folder(tmp_path / "a", episode, header=header))

@@ -170,7 +170,10 @@ def test_images_that_are_not_what_was_said_are_refused_on_the_robots_side():
     (line,) = robot_server.answer(Odd(), {"do": "reset"})
     assert "an image must be uint8 (4, 4, 3), not uint8 (4, 5, 3)" in json.loads(line)["error"]
     (line,) = robot_server.answer(Odd(), {"do": "step", "action": [float("nan")]})
-    assert "not finite" in json.loads(line)["error"]
+    assert "expected 1 finite numbers" in json.loads(line)["error"]
+    for action in ([float("inf")], [0.0, 0.0]):
+        (line,) = robot_server.answer(Odd(), {"do": "step", "action": action})
+        assert "finite numbers" in json.loads(line)["error"]
     (line,) = robot_server.answer(robot_server.Robot(), {"do": "step", "action": [0.0]})
     assert "write step" in json.loads(line)["error"]
 

@@ -273,6 +273,21 @@ def test_cameras_that_cannot_be_are_refused(camera, message):
         make_task("gymnasium:HalfCheetah-v5", {"camera": camera})
 
 
+def test_a_camera_is_taken_also_where_the_model_has_one_of_the_name_that_runs_use():
+    """Which they used to look through whatever was asked for."""
+    model = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><camera name="view" pos="9 0 1"/><camera name="side" pos="0 -3 1"/></worldbody></mujoco>'
+    )
+
+    def place(camera):
+        task = SimpleNamespace(camera=camera, load=model.copy, name="two", usual_camera=lambda names: None)
+        return EnvironmentTask.base(task).compile().camera("view").pos.tolist()
+
+    assert place(None) == [9, 0, 1] and place("side") == [0, -3, 1]
+    with pytest.raises(ValueError, match=r"task_options\.camera is 'sdie'.*view, side"):
+        place("sdie")
+
+
 def test_the_camera_stands_where_the_user_puts_it():
     """One metre in front of the cart it is twice as large as from two."""
     seen = []

@@ -67,7 +67,7 @@ def where_it_shows(context: SearchContext, state: SearchState, effect: AcceptedE
     with_it, without = (context.loss(split, s.effects) for s in (state, state.without(effect)))
     k = int(np.argmax(without - with_it))
     recording = context.sim.data[split.windows.episode[k]]
-    return f"{recording.name} at {recording.time[split.windows.start[k]]:.2f} s"
+    return f"{recording.name} at {recording.time[split.windows.start[k]] - recording.time[0]:.2f} s"
 
 
 def separating_recording(context: SearchContext, state: SearchState, effect: AcceptedEffect) -> str:
@@ -85,8 +85,9 @@ def separating_recording(context: SearchContext, state: SearchState, effect: Acc
         )
     joint = sim.channels[int(np.argmax(np.abs(r.qvel[s]) / usual_speed))]
     commands = np.round(r.actions[s : s + windows.offsets[-1]].mean(0), 3).tolist()
+    at = r.time[s] - r.time[0]
     return (
-        f"record more like {r.name} at {r.time[s]:.2f} s (commands about {commands}, {joint} fast), where the two "
+        f"record more like {r.name} at {at:.2f} s (commands about {commands}, {joint} fast), where the two "
         f"predictions differ by {apart:.2g} sigma, with larger amplitudes."
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import mujoco
@@ -35,8 +36,8 @@ from idapt_pl.estimation.least_squares import robust_loss
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.simulator import Simulator
 
-MOST_CANDIDATES = 200
-"""Rejected candidates that a report lists."""
+MOST_CANDIDATES, FEWEST_OF_A_ROUND = 200, 40
+"""Rejected candidates that a report lists: as many of each round, but so many at least."""
 
 
 def summarise_search(context: SearchContext, state: SearchState, trials: Sequence[Trial]) -> DiagnosisResult:
@@ -192,9 +193,16 @@ def changed_numerics(effect: Numerics, model: mujoco.MjModel) -> dict[str, Param
 
 
 def rejected_candidates(trials: Sequence[Trial]) -> list[RejectedCandidate]:
-    """What was not accepted, by round and score."""
-    ranked = sorted(trials, key=lambda t: (t.round, -t.score))
-    return [rejected_candidate(t, t.rejection) for t in ranked if t.rejection][:MOST_CANDIDATES]
+    """What was not accepted, by round and score: the best of each round, and whatever no machine has."""
+    ranked = sorted((t for t in trials if t.rejection), key=lambda t: (t.round, -t.score))
+    most = max(FEWEST_OF_A_ROUND, MOST_CANDIDATES // max(len({t.round for t in ranked}), 1))
+    listed, told = Counter[int](), []
+    for t in ranked:
+        assert t.rejection is not None
+        listed[t.round] += 1
+        if listed[t.round] <= most or t.rejection.reason is RejectionReason.IMPLAUSIBLE:
+            told.append(rejected_candidate(t, t.rejection))
+    return told
 
 
 def rejected_candidate(t: Trial, why: Rejection) -> RejectedCandidate:

@@ -88,7 +88,7 @@ def simulate_the_best(
     each = context.sim.side_by_side.map
     trials = each(simulate, [c for c in candidates if c in best or not acts_as_force(c)])
     drawn = each(simulate, sample)
-    if max(t.score for t in drawn) > MISSED * max(t.score for t in trials):
+    if max((t.score for t in drawn), default=0.0) > MISSED * max(t.score for t in trials):
         return each(simulate, candidates)
     return [*trials, *drawn, *(replace(rough[c], round=trials[0].round) for c in rest if c not in sample)]
 
