@@ -7,6 +7,7 @@ import subprocess
 import sys
 import weakref
 from contextlib import closing
+from types import SimpleNamespace
 
 import gymnasium
 import mujoco
