@@ -9,7 +9,8 @@ A figure stands between two comments that do not show; the first, without spaces
 
 These are a table, a column, the rows (``&`` between conditions, ``+`` for a space, ``%3A`` for a colon, none for all
 rows) and a format. The figure is the value of the column in these rows, which must agree; ``sum(minutes)``,
-``mean(...)``, ``min(...)``, ``max(...)`` and ``count(...)`` make one of several, and ``sum(after_s)/60`` divides it.
+``mean(...)``, ``median(...)``, ``min(...)``, ``max(...)`` and ``count(...)`` make one of several, and
+``sum(after_s)/60`` divides it.
 Between ``<!--tables:hard-->`` and ``<!--/tables-->`` stands what ``python benchmarks/tables.py hard`` prints.
 """
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 import re
+import statistics
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,10 +32,11 @@ from benchmarks.tables import TABLES
 
 FIGURE = re.compile(r"<!--(results/[\w.]+\.csv):([^:\s>]+):([^:\s]*):([^:\s]+?)-->(.*?)<!--/-->", re.DOTALL)
 TABLE = re.compile(r"(<!--tables:(\w+)-->\n\n)(.*?)(\n\n<!--/tables-->)", re.DOTALL)
-COLUMN = re.compile(r"(?:(sum|mean|min|max|count)\((\w+)\)|(\w+))(?:/([\d.]+))?")
+COLUMN = re.compile(r"(?:(sum|mean|median|min|max|count)\((\w+)\)|(\w+))(?:/([\d.]+))?")
 SEVERAL: dict[str, Callable[[list[float]], float]] = {
     "sum": sum,
     "mean": lambda values: sum(values) / len(values),
+    "median": statistics.median,
     "min": min,
     "max": max,
     "count": len,
