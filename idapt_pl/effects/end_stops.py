@@ -66,7 +66,7 @@ class JointRange(Effect):
         """One end of a joint that moved through ``motion`` and was seen to stop at ``seen``, rad or m."""
         inward, limited = (1, -1)[k], bool(model.jnt_limited[j])
         nominal = float(model.jnt_range[j, k]) if limited else seen - inward * motion
-        starts = tuple((seen + inward * share * motion,) for share in (0.0, 0.02, 0.06))
+        starts = tuple((seen + inward * share * motion,) for share in (0.0, 0.01, 0.02, 0.06))
         innermost = seen + inward * 0.49 * motion  # a joint that moved further has no stop there
         other = float(model.jnt_range[j, 1 - k]) - inward * 0.01 * motion if limited else inward * OPEN
         if k == LOWER:

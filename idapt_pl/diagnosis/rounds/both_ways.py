@@ -27,6 +27,8 @@ MOST_OF_THE_REST = 0.5
 
 TOUCHED = 0.05
 """Share of the change in what shows an effect most, an episode or a window, up to which others do not show it."""
+MUCH = 10.0
+"""Loss, in units of the noise (squared), that no window loses by chance."""
 NEXT_TO_NOTHING = 0.5
 """Change of the loss of any held-out window, below which it is looked whether others show the effect."""
 
@@ -73,7 +75,20 @@ def gain_on_all(
         return gain, error
     before = np.concatenate([held_out[0], context.loss(windows.fit, without)])
     after = np.concatenate([held_out[1], with_it])
-    return paired_gain(before, after, np.concatenate([episodes, windows.fit.windows.episode]), touched=TOUCHED)
+    return gain_counted(before, after, np.concatenate([episodes, windows.fit.windows.episode]))
+
+
+def gain_counted(before: np.ndarray, after: np.ndarray, episodes: np.ndarray) -> tuple[float, float]:
+    """As of :func:`~idapt_pl.estimation.intervals.paired_gain`, as sure as if no window gained more than :data:`MUCH`.
+
+    Of three windows that lose all of an error far beyond the noise the largest is no reason to doubt the others.
+    """
+    gain, error = paired_gain(before, after, episodes, touched=TOUCHED)
+    counted = np.clip(before - after, -MUCH, MUCH)
+    mean, spread = paired_gain(counted, np.zeros(len(counted)), episodes, touched=TOUCHED)
+    if gain <= 0 or not np.isfinite(error):
+        return gain, error
+    return gain, gain * spread / mean if mean > 0 else float("inf")
 
 
 def loss_by_others(
