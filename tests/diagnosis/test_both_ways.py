@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from idapt_pl.diagnosis.candidates.fit import effects_of
-from idapt_pl.diagnosis.rounds.both_ways import MUCH, gain_counted, gain_on_all
+from idapt_pl.diagnosis.rounds.both_ways import MOST_COUNTED, gain_counted, gain_on_all
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.prediction.data import Windows
@@ -91,7 +91,7 @@ def counted(gains, windows=180):
 
 
 def test_a_large_gain_is_no_reason_to_doubt_the_others():
-    assert counted([258.0, 95.0, 65.0]) == pytest.approx(counted([MUCH] * 3)) and counted([MUCH] * 3) > 1.7
+    assert counted([258.0, 95.0, 65.0]) == pytest.approx(counted([MOST_COUNTED] * 3)) and counted([MOST_COUNTED] * 3) > 1.7
     assert counted([258.0]) < 1.01, "one window may be anything"
     assert counted([5.0] * 3) == pytest.approx(np.sqrt(3), rel=0.02), "as before"
     assert counted([258.0] + [-5.0] * 3) == 0, "many small losses are not made up for by one window"

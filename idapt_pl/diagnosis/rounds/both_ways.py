@@ -27,7 +27,7 @@ MOST_OF_THE_REST = 0.5
 
 TOUCHED = 0.05
 """Share of the change in what shows an effect most, an episode or a window, up to which others do not show it."""
-MUCH = 10.0
+MOST_COUNTED = 10.0
 """Loss, in units of the noise (squared), that no window loses by chance."""
 NEXT_TO_NOTHING = 0.5
 """Change of the loss of any held-out window, below which it is looked whether others show the effect."""
@@ -79,12 +79,12 @@ def gain_on_all(
 
 
 def gain_counted(before: np.ndarray, after: np.ndarray, episodes: np.ndarray) -> tuple[float, float]:
-    """As of :func:`~idapt_pl.estimation.intervals.paired_gain`, as sure as if no window gained more than :data:`MUCH`.
+    """As of :func:`~idapt_pl.estimation.intervals.paired_gain`, as sure as if no window gained more than :data:`MOST_COUNTED`.
 
     Of three windows that lose all of an error far beyond the noise the largest is no reason to doubt the others.
     """
     gain, error = paired_gain(before, after, episodes, touched=TOUCHED)
-    counted = np.clip(before - after, -MUCH, MUCH)
+    counted = np.clip(before - after, -MOST_COUNTED, MOST_COUNTED)
     mean, spread = paired_gain(counted, np.zeros(len(counted)), episodes, touched=TOUCHED)
     if gain <= 0 or not np.isfinite(error):
         return gain, error
