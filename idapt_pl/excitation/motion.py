@@ -68,7 +68,7 @@ class FourierMotion:
         Where the base leaves next to no room, commands stay at their limit, and the rest of the motion is as it was.
         """
         room = np.where(change > 0, self.command[:, 1] - self.around, self.around - self.command[:, 0])
-        narrow = room < NO_ROOM * (self.command[:, 1] - self.command[:, 0])
+        narrow = room <= NO_ROOM * (self.command[:, 1] - self.command[:, 0])
         ratio = np.where(narrow, 0.0, np.abs(change) / np.where(narrow, 1.0, room))
         return np.maximum(ratio.max(1), 1.0)
 

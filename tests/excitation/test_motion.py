@@ -56,6 +56,12 @@ def test_a_base_at_its_limit_leaves_the_rest_of_the_motion():
     assert np.median(np.abs(u - base)[:, :, 0].max(1)) > 0.1 and (u <= RANGE[:, 1] + 1e-12).all()
 
 
+def test_a_command_that_may_not_change_leaves_the_others_theirs():
+    held = fourier_motion(np.tile([0.2, 0.0], (150, 1)), np.array([[-1.0, 0.5], [0.0, 0.0]]), 0.02, 2.0)
+    u = held.commands(held.random(np.random.default_rng(0), 20))
+    assert np.isfinite(u).all() and np.ptp(u[:, :, 1]) == 0 and np.median(np.ptp(u[:, :, 0], axis=1)) > 0.1
+
+
 def test_an_envelope_is_smooth_and_symmetric():
     w = envelope(100, 0.02)
     assert w[0] == w[-1] == 0 and w[50] == 1 and np.allclose(w, w[::-1])

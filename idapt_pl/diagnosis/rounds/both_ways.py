@@ -79,7 +79,7 @@ def gain_on_all(
 
 
 def gain_counted(before: np.ndarray, after: np.ndarray, episodes: np.ndarray) -> tuple[float, float]:
-    """As of :func:`~idapt_pl.estimation.intervals.paired_gain`, as sure as if no window gained more than :data:`MOST_COUNTED`.
+    """As of :func:`~idapt_pl.estimation.intervals.paired_gain`, as sure as if none gained over :data:`MOST_COUNTED`.
 
     Of three windows that lose all of an error far beyond the noise the largest is no reason to doubt the others.
     """
