@@ -186,6 +186,11 @@ def quiet_sentences(result: DiagnosisResult, model: mujoco.MjModel) -> list[str]
 def gain_sentence(result: DiagnosisResult) -> str:
     """What adding the effects does to the held-out error."""
     error, them = result.error, "it" if len(result.effects) == 1 else "them"
+    if f"{error.before:.3g}" == f"{error.after:.3g}":  # what is found shows in other episodes
+        return (
+            f"On episodes not used for fitting adding {them} changes nothing: the error stays at "
+            f"{format_number(error.after)} times {error.yardstick}."
+        )
     percent = f"{100 * error.removed_share:.0f} %"
     removes = f"removes {percent} of the removable error" if error.removed_share > 0 else "changes the error"
     return (

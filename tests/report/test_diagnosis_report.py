@@ -368,6 +368,15 @@ def test_every_verdict_has_its_sentence(verdict, effects, words):
     assert words in " ".join(verdict_in_words(made_result(verdict, effects), swing))
 
 
+def test_an_error_that_stays_is_no_change():
+    """What no held-out episode shows is found by the others."""
+    swing = mujoco.MjModel.from_xml_string(SWING.format(damping=1, actuator=MOTOR))
+    result = made_result("effects_found", [FRICTION])
+    stays = replace(result, error=replace(result.error, after=result.error.before, removed_share=0.0))
+    said = " ".join(verdict_in_words(stays, swing))
+    assert "adding it changes nothing: the error stays at" in said and "removes" not in said
+
+
 WAVE = "a*sin(b*q)"
 LAW = EffectEstimate(
     "learned_force", "shoulder", {
