@@ -3,9 +3,11 @@
 import subprocess
 
 import pytest
+import yaml
 from jsonargparse import ArgumentParser, Namespace
 
 from cli import provenance
+from cli.fit import current
 from idapt_pl.files import read_json
 
 
@@ -70,3 +72,14 @@ def test_another_shortening_is_refused_by_the_option_that_was_typed(tmp_path):
     (tmp_path / "step_00").mkdir()
     with pytest.raises(ValueError, match=r"another config \(--shorten 200 against 100, seed differ\)"):
         started(tmp_path, 40, 100.0, seed=1)
+
+
+@pytest.mark.parametrize("option", ["", "--config="])
+def test_keys_that_are_gone_are_left_out_of_an_older_config_however_it_is_given(tmp_path, option):
+    """Sweeps give it with the option."""
+    path = tmp_path / "config.yaml"
+    path.write_text("teacher: {source_candidates: 1, steps: 7}\n")
+    assert yaml.safe_load(current(f"{option}{path}").removeprefix(option)) == {"teacher": {"steps": 7}}
+    assert current(f"{option}{path}").startswith(option)
+    path.write_text("teacher: {steps: 7}\n")
+    assert current(f"{option}{path}") == f"{option}{path}"

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -17,6 +18,7 @@ from conftest import ROOT
 
 import cli.visual
 from cli.main import main
+from cli.visual_writer import check_distinct
 from datamodules import read_trajectories, write_trajectories
 from idapt_pl.modules import VisualTransformation
 
@@ -303,3 +305,9 @@ def test_a_visual_transformation_on_its_own_that_breaks_is_not_kept(key, tmp_pat
     assert main(["visual", "fit", *(f"--{k}={v}" for k, v in options.items())]) == 1
     assert f"{key} (now 1e+30)" in capsys.readouterr().err.splitlines()[-1]
     assert not list(run.rglob("*.ckpt"))
+
+
+def test_images_whose_translations_would_have_one_name_are_refused():
+    check_distinct([Path("a.png"), Path("deep/a.png")], "photos")
+    with pytest.raises(ValueError, match=r"photos has several images whose translations would all be a\.png"):
+        check_distinct([Path(name).with_suffix(".png") for name in ("a.jpg", "b.png", "a.png")], "photos")

@@ -101,3 +101,9 @@ def test_fix_needs_recordings_of_positions(folder, tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["diagnose", "--run", str(folder), "--data", str(folder / "turned.h5"), "--out", str(tmp_path), "--fix"])
     assert "--fix mends recordings of positions" in capsys.readouterr().err
+
+
+def test_mended_recordings_of_before_are_not_written_over_while_they_are_read(tmp_path, capsys):
+    read = [str(tmp_path / f"mended_{i}.h5") for i in range(2)]
+    assert main(["diagnose", "--model", "m.xml", "--data", *read, "--out", str(tmp_path), "--fix"]) == 1
+    assert "mended_0.h5: --out is also read from" in " ".join(capsys.readouterr().err.split())
