@@ -37,8 +37,9 @@ def next_experiment(context: SearchContext, state: SearchState, verdict: Verdict
 
 def without_proof(context: SearchContext, state: SearchState) -> Iterator[str]:
     """What held-out episodes do not show."""
-    hidden = next((a for a in state.accepted if not_held_out(context, state, a)), None)
-    if hidden and not judges_forces(state.windows.fit):
+    if judges_forces(state.windows.fit):
+        return
+    if hidden := next((a for a in state.accepted if not_held_out(context, state, a)), None):
         yield (
             f"No held-out episode shows {hidden.candidate.label}: it was judged by halves of the others. To be surer, "
             f"record more like {where_it_shows(context, state, hidden)}."
