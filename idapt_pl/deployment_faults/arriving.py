@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from datamodules import Trajectories
-from idapt_pl.effects.runtime import Command, CommandEffect
-from idapt_pl.prediction.held_commands import mean_between
+from idapt_pl.effects.runtime import Command, CommandEffect, mean_between
 
 
 def as_commands_arrive(model: mujoco.MjModel, data: Trajectories, own: Sequence[CommandEffect]) -> Trajectories:

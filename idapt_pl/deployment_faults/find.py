@@ -32,7 +32,7 @@ from idapt_pl.deployment_faults.stale import without_stale_rows
 from idapt_pl.deployment_faults.velocities import velocity_mend
 from idapt_pl.effects.own_signals import take_signals
 from idapt_pl.prediction.data import measured_signals
-from idapt_pl.prediction.model import name_elements
+from idapt_pl.prediction.model import name_elements, without_textures
 
 LEAST_GAIN = 0.7
 """Log of the ratio of squared misses, without and with a mend, below which nothing is said."""
@@ -122,7 +122,7 @@ def find_deployment_faults(
     """
     started = time.perf_counter()
     plain, own = take_signals(name_elements(model.copy()))
-    compiled = plain.compile()
+    compiled = without_textures(plain).compile()
     measured = all(measured_signals(compiled, f"episode_{i}", e)[1] is not None for i, e in enumerate(trajectories))
     data, repeats = without_stale_rows(compiled, trajectories)
     found: list[DeploymentFault] = []

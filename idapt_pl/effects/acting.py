@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import ACTUATED, PLAY_SUFFIX, Effect
+from idapt_pl.effects.driven import joints_of_actuators
 from idapt_pl.effects.learned import JointSignals, SignalForce
 from idapt_pl.effects.own_signals import arriving_commands
 from idapt_pl.effects.runtime import ForceEffect
@@ -109,8 +110,7 @@ def without_delays(model: mujoco.MjModel) -> mujoco.MjModel:
 def joints_meant(model: mujoco.MjModel, target: str) -> list[int]:
     """Hinges and slides that a target means."""
     scalar = [j for j in range(model.njnt) if model.jnt_type[j] >= 2 and not model.joint(j).name.endswith(PLAY_SUFFIX)]
-    driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0].tolist())
-    meant = {"*": set(scalar), ACTUATED: driven}.get(target)
+    meant = {"*": set(scalar), ACTUATED: joints_of_actuators(model)}.get(target)
     return [j for j in scalar if (model.joint(j).name == target if meant is None else j in meant)]
 
 

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import mujoco
 import numpy as np
 
+from idapt_pl.effects.driven import names_of_joints_of_actuators
+
 if TYPE_CHECKING:
     from idapt_pl.effects.candidate import Candidate, TypicalSizes
 
@@ -164,8 +166,8 @@ def find_joints(spec: mujoco.MjSpec, target: str) -> list[Any]:
     if target != ACTUATED or ACTUATED in names:
         found = find_elements(spec, "joints", target)
         return [j for j in found if target != "*" or not j.name.endswith(PLAY_SUFFIX)]
-    on_joints = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_JOINT}
-    found = [j for j in spec.joints if j.name in on_joints]
+    driven = names_of_joints_of_actuators(spec)
+    found = [j for j in spec.joints if j.name in driven]
     if not found:
         raise ValueError(f"no actuator of the model acts on a joint; its joints: {', '.join(names) or 'none'}")
     return found

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import ACTUATED, Effect
+from idapt_pl.effects.driven import joints_of_actuators
 
 
 @dataclass(frozen=True)
@@ -179,9 +180,8 @@ def scalar_joints(model: mujoco.MjModel) -> list[tuple[int, int, str]]:
 
 
 def actuated_dofs(model: mujoco.MjModel) -> set[int]:
-    """Degrees of freedom of the joints that actuators act on."""
-    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    return {int(v) for v in model.jnt_dofadr[model.actuator_trnid[on_joints, 0]]}
+    """Degrees of freedom of the joints that actuators act on (of a ball or free joint, the first)."""
+    return {int(model.jnt_dofadr[j]) for j in joints_of_actuators(model)}
 
 
 def floating_base_dofs(model: mujoco.MjModel) -> set[int]:

@@ -24,9 +24,17 @@ def take_signals(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, tuple[CommandEffec
         if actuator.dyntype in FILTERS:
             # a step's force follows from the filter's state when it begins, or when it ends
             late = (-0.5 if actuator.actearly else 0.5) * spec.option.timestep
-            taken.append(ActuatorLag(actuator.name, float(actuator.dynprm[0]), late))
+            taken.append(ActuatorLag(actuator.name, exact_time_constant(actuator, spec.option.timestep), late))
             actuator.dyntype, actuator.actlimited = mujoco.mjtDyn.mjDYN_NONE, False
     return spec, tuple(taken)
+
+
+def exact_time_constant(actuator: mujoco.MjsActuator, step: float) -> float:
+    """Time constant [s] with which an exact filter does in a step [s] what an actuator's filter does."""
+    lag = float(actuator.dynprm[0])
+    if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT or lag <= step:
+        return lag
+    return float(-step / np.log1p(-step / lag))
 
 
 def arriving_commands(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -76,6 +76,17 @@ def replace_columns(command: Command, columns: list[int], edges: np.ndarray, val
     return Command(np.append(union, union[-1] + 10.0), merged)
 
 
+def mean_between(command: Command, at: np.ndarray) -> np.ndarray:
+    """Means of a command between times: (rows, steps + 1) to (rows, steps, columns)."""
+    # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
+    early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
+    edges = np.concatenate([[early], command.edges[: len(command.values)], [late]])
+    values = np.concatenate([command.values[:1], command.values])
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(edges)[:, None], 0)])
+    means = [np.diff(np.interp(at, edges, column), axis=1) for column in total.T]
+    return np.stack(means, -1) / np.diff(at, axis=1)[..., None]
+
+
 def delay_columns(command: Command, columns: list[int], by: float) -> Command:
     """A command some of whose columns arrive later by some seconds."""
     return replace_columns(command, columns, command.edges + by, command.values[:, columns])

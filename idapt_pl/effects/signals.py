@@ -11,7 +11,14 @@ from scipy.signal import lfilter
 
 from idapt_pl.effects.base import find_elements, parameter
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, mechanical_joints, named_actuators, with_shared
-from idapt_pl.effects.runtime import Command, CommandEffect, SensingEffect, delay_columns, replace_columns
+from idapt_pl.effects.runtime import (
+    Command,
+    CommandEffect,
+    SensingEffect,
+    delay_columns,
+    mean_between,
+    replace_columns,
+)
 
 FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 """Dynamics of actuators that are a first-order lag."""
@@ -69,10 +76,10 @@ class SensorDelay(CommandEffect):
 class ActuatorLag(CommandEffect):
     """A first-order lag of the command (``dyntype="filterexact"``), perhaps after a dead time.
 
-    A dead time of less than a time step, either sign, is convention: whether a simulation lets a step's force follow
-    from the filter's state before, in the middle of or after it. Two lags in a row are nearly one of their sum, which
-    ``apply`` writes. An actuator with other dynamics of its own (``dcmotor``, an integrator, a muscle) stays as it is:
-    MJCF has no words for a lag in front of one.
+    A dead time of half a time step, either sign, is convention: whether a simulation lets a step's force follow from
+    the filter's state before it or after it, instead of the mean over it. Two lags in a row are nearly one of their
+    sum, which ``apply`` writes. An actuator with other dynamics of its own (``dcmotor``, an integrator, a muscle) stays
+    as it is: MJCF has no words for a lag in front of one.
     """
 
     name: ClassVar[str] = "actuator_lag"
@@ -81,19 +88,20 @@ class ActuatorLag(CommandEffect):
     dead_time: float = parameter("s", -1.0, 10.0, default=0.0)
 
     def transform(self, command: Command, columns: list[int], step: float) -> Command:
-        if self.dead_time:
-            command = delay_columns(command, columns, self.dead_time)
         if self.time_constant <= 0:
-            return command
-        edges = np.arange(command.edges[0], command.edges[-1], step)
-        held = np.searchsorted(command.edges, edges + 1e-9, side="right") - 1
-        held = command.values[np.clip(held, 0, len(command.values) - 1)][:, columns]
+            return delay_columns(command, columns, self.dead_time) if self.dead_time else command
+        convention = float(np.clip(self.dead_time, -step / 2, step / 2))
+        if self.dead_time != convention:
+            command = delay_columns(command, columns, self.dead_time - convention)
+        edges = np.arange(command.edges[0], command.edges[-1] + step, step)
+        held = mean_between(Command(command.edges, command.values[:, columns]), edges[None])[0]
         keep = np.exp(-step / self.time_constant)
         share = self.time_constant / step * (1 - keep)  # of the old value in the mean over a step
-        before = lfilter([1 - keep], [1, -keep], held, axis=0, zi=keep * held[:1])[0]
-        before = np.concatenate([held[:1], before[:-1]])  # the filter's state when each step begins
-        filtered = held + share * (before - held)
-        return replace_columns(command, columns, np.append(edges, command.edges[-1]), filtered)
+        after = lfilter([1 - keep], [1, -keep], held, axis=0, zi=keep * held[:1])[0]
+        before = np.concatenate([held[:1], after[:-1]])  # the filter's state when each step begins
+        mean, ends = held + share * (before - held), before if convention > 0 else after
+        filtered = mean + abs(convention) / (step / 2) * (ends - mean)
+        return replace_columns(command, columns, edges, filtered)
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import mujoco
 
 from idapt_pl.effects.base import ACTUATED, EFFECTS, names_in
+from idapt_pl.effects.driven import joints_of_actuators
 
 
 def phrase_at(effect: str, target: str) -> str:
@@ -54,8 +55,7 @@ def unit_at(model: mujoco.MjModel, target: str, unit: str) -> str:
     if " or " not in unit:
         return unit
     slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-    driven = set(model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0])
-    meant = {"*": set(range(model.njnt)), ACTUATED: driven}.get(target, set())
+    meant = {"*": set(range(model.njnt)), ACTUATED: joints_of_actuators(model)}.get(target, set())
     names = [model.joint(j).name for j in range(model.njnt)]
     joints = [j for j, name in enumerate(names) if j in meant or name in names_in(target, names)]
     kinds = {int(model.jnt_type[j]) for j in joints} & {slide, hinge}

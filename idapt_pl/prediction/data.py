@@ -10,6 +10,7 @@ import numpy as np
 
 from datamodules import Episode, Trajectories
 from idapt_pl.effects.contacts import touching_geoms
+from idapt_pl.effects.signals import FILTERS
 
 log = logging.getLogger(__name__)
 
@@ -34,8 +35,10 @@ SHARE_OF_IMPACTS, FEWEST_WINDOWS = 1 / 3, 60
 LEFT_OUT = "left_out"
 """Name of the channel of ``infos`` that marks control steps in which the model is not expected to hold."""
 
-START_UP = 0.25
-"""Seconds at the start of an episode in which commands from before it may still act, delayed or filtered."""
+START_UP, TIME_CONSTANTS = 0.25, 8.0
+"""Seconds at the start of an episode in which commands from before it may still act, delayed or filtered.
+
+Or so many time constants of the model's slowest actuator: what its filter held then is not known."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,7 @@ class Recording:
         actions: commands, (T, nu), held from ``time[k]`` to ``time[k + 1]``.
         left_out: control steps that nothing is predicted in, (T,) bool; None for none.
         impacts: whether something hit something between a sample and the next, (T,); None where it is not known.
+        start_up: how long commands from before may act, s.
     """
 
     name: str
@@ -59,6 +63,7 @@ class Recording:
     actions: np.ndarray
     left_out: np.ndarray | None = None
     impacts: np.ndarray | None = None
+    start_up: float = START_UP
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -111,7 +116,8 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
                 "commanded: make two episodes of it (`idapt import` does)"
             )
         left_out = steps_left_out(f"episode_{i}", episode)
-        sloped.append(Recording(f"episode_{i}", time, qpos, slopes(model, time, qpos), actions, left_out))
+        qvel = slopes(model, time, qpos)
+        sloped.append(Recording(f"episode_{i}", time, qpos, qvel, actions, left_out, start_up=start_up(model)))
     if any(qvel is None for _, qvel in measured):
         return with_impacts(model, sloped), False
     shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
@@ -120,6 +126,13 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return with_impacts(model, sloped), False
     return with_impacts(model, shown), True
+
+
+def start_up(model: mujoco.MjModel) -> float:
+    """How long a model's actuators may go on with what was commanded before an episode, s."""
+    filters = np.isin(model.actuator_dyntype, FILTERS)
+    slowest = np.max(model.actuator_dynprm[filters, 0] + model.actuator_delay[filters], initial=0.0)
+    return max(START_UP, TIME_CONSTANTS * float(slowest))
 
 
 def steps_left_out(where: str, episode: Episode) -> np.ndarray | None:
@@ -252,7 +265,8 @@ def sample_windows(
     found, hit = [], []
     for e in episodes:
         r, T = data[e], len(data[e])
-        skip = min(int(np.ceil(START_UP / np.median(np.diff(r.time)))), T // 4, max(0, T - steps))
+        most = T // 4 if r.start_up == START_UP else T // 2
+        skip = min(int(np.ceil(r.start_up / np.median(np.diff(r.time)))), most, max(0, T - steps))
         starts = window_starts(r.left_out, skip if r.actions.shape[1] else 0, T, steps)
         found.append(np.stack([np.full(len(starts), e), starts], 1))
         hit.append(np.array([has_impact(r, int(s), steps) for s in starts], dtype=np.bool_))

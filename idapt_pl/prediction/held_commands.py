@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from idapt_pl.effects.base import Effect
-from idapt_pl.effects.runtime import Command, CommandEffect
+from idapt_pl.effects.runtime import Command, CommandEffect, mean_between
 from idapt_pl.prediction.data import Recording, Windows
 from idapt_pl.prediction.recent import RecentArrays
 
@@ -28,7 +29,7 @@ class HeldCommands:
     """
 
     def __init__(self, model: mujoco.MjModel, data: Sequence[Recording], own: Sequence[CommandEffect] = ()) -> None:
-        self.model, self.data, self.own = model, data, tuple(own)
+        self.model, self.data, self.own = model, data, for_many_at_once(own, model)
         self._kept = RecentArrays[np.ndarray](KEPT_COMMANDS)
 
     def averaged(self, effects: Sequence[Effect], windows: Windows, steps: int, h: float) -> np.ndarray:
@@ -64,20 +65,17 @@ class HeldCommands:
         for e in np.unique(windows.episode) if columns else ():
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions[:, columns])
-            for effect in (*effects, *self.own):
-                of = [columns.index(i) for i in effect.columns(self.model) if i in columns]
+            for effect, meant in (*((e, e.columns(self.model)) for e in effects), *self.own):
+                of = [columns.index(i) for i in meant if i in columns]
                 command = effect.transform(command, of, h) if of else command
             at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)
             out[rows] = mean_between(command, at)
         return out
 
 
-def mean_between(command: Command, at: np.ndarray) -> np.ndarray:
-    """Means of a command between times: (rows, steps + 1) to (rows, steps, columns)."""
-    # the integral of a piecewise-constant command is piecewise linear: its slope over a step is the mean
-    early, late = command.edges[0] - 100.0, command.edges[-1] + 100.0
-    edges = np.concatenate([[early], command.edges[: len(command.values)], [late]])
-    values = np.concatenate([command.values[:1], command.values])
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * np.diff(edges)[:, None], 0)])
-    means = [np.diff(np.interp(at, edges, column), axis=1) for column in total.T]
-    return np.stack(means, -1) / np.diff(at, axis=1)[..., None]
+def for_many_at_once(effects: Sequence[CommandEffect], model: mujoco.MjModel) -> list[tuple[CommandEffect, list[int]]]:
+    """Effects, and columns of the commands for each: one for all actuators that have the like, as most machines do."""
+    alike = dict[CommandEffect, list[int]]()
+    for effect in effects:
+        alike.setdefault(replace(effect, target="*"), []).extend(effect.columns(model))
+    return list(alike.items())

@@ -52,6 +52,16 @@ def name_elements(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
+def without_textures(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """A model without textures and skins, which say nothing of motion and take long to compile. ``spec`` is edited."""
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    for kind in (spec.textures, spec.skins):
+        for element in list(kind):
+            spec.delete(element)
+    return spec
+
+
 def name_all(elements: Sequence[Any], names: Sequence[str]) -> None:
     """Give the nameless among some elements these names, longer ones where they are taken."""
     taken = {e.name for e in elements}

@@ -25,6 +25,7 @@ from idapt_pl.prediction.held_commands import HeldCommands
 from idapt_pl.prediction.interpolation import interpolate_states
 from idapt_pl.prediction.inverse_dynamics import STATE, lacking_at_states
 from idapt_pl.prediction.law_history import LawsInWindows
+from idapt_pl.prediction.model import without_textures
 from idapt_pl.prediction.recent import RecentArrays
 from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.usable_cores import usable_cores
@@ -93,7 +94,8 @@ class Simulator:
         unmeasured: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.spec, self.velocities = spec, velocities
-        self._plain, self.own = take_signals(spec)
+        plain, self.own = take_signals(spec)
+        self._plain = without_textures(plain)
         self.model = self._plain.copy().compile()
         self.threads = threads or usable_cores()
         self.control_period = float(np.median(np.diff(data[0].time)))

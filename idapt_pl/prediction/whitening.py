@@ -11,6 +11,12 @@ from idapt_pl.prediction.data import Windows
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects, Simulator
 
+FEW_DRAWS, MOST_DRAWS = 4, 32
+"""First states drawn at random for what is beyond second order: at first, and in all where these find something."""
+
+SOMETHING, SOME_WINDOWS = 0.3, 0.05
+"""What is beyond second order counts where it is this much (rms, in sigma) in more than this share of the windows."""
+
 
 @dataclass(frozen=True)
 class InitialStateSensitivity:
@@ -20,10 +26,13 @@ class InitialStateSensitivity:
         slope: d residual / d first state, (n, j, channels, 2 nv).
         bend: half the second derivative, along each coordinate, (n, j, channels, 2 nv). Small where things are smooth,
             large where the noise decides when a contact begins.
+        rest: what the noise changes beyond that, (n, j, channels, draws): the sum of its squares is the variance. Large
+            where feet, end stops or friction make it grow from one contact to the next.
     """
 
     slope: np.ndarray
     bend: np.ndarray
+    rest: np.ndarray
 
 
 def initial_sensitivity(
@@ -36,19 +45,49 @@ def initial_sensitivity(
     for s, above, below in zip(size, moved, moved, strict=True):
         slope.append((above - below) / (2 * s))
         bend.append((above + below - 2 * base) / (2 * s**2))
-    return InitialStateSensitivity(np.stack(slope, -1), np.stack(bend, -1))
+    smooth = np.stack(slope, -1), np.stack(bend, -1)
+    return InitialStateSensitivity(*smooth, beyond_second_order(sim, effects, windows, size, base, *smooth))
+
+
+def beyond_second_order(
+    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray, base: np.ndarray, slope: np.ndarray,
+    bend: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """What first states drawn at random change in residuals that slope and bend do not foretell.
+
+    Args:
+        sim: of the nominal model.
+        effects: of the current one.
+        windows: of the recordings.
+        size: standard deviations of first states, (2 nv,).
+        base: residuals, (n, j, channels).
+        slope: of these, (n, j, channels, 2 nv).
+        bend: likewise.
+
+    Returns:
+        As ``rest`` of :class:`InitialStateSensitivity`.
+    """
+    drawn, rest = np.random.default_rng(0).normal(size=(MOST_DRAWS, len(size))) * size, list[np.ndarray]()
+    for some in (drawn[:FEW_DRAWS], drawn[FEW_DRAWS:]):
+        moved = sim.side_by_side.map(lambda n: sim.residual(effects, windows, n), some)
+        rest += [r - base - slope @ n - bend @ np.square(n) for n, r in zip(some, moved, strict=True)]
+        in_sigma = np.sqrt(np.mean([np.square(r / size[: r.shape[-1]]) for r in rest], (0, 2, 3)))
+        if np.mean(in_sigma > SOMETHING) <= SOME_WINDOWS:
+            break
+    return np.stack(rest, -1) / np.sqrt(len(rest))
 
 
 def whitener(at: InitialStateSensitivity, noise: Noise, compared: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """W_k with W_k r_k white under the model, W = chol(R)⁻¹, (n, rows, j channels): a row for what is compared.
 
-    R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ: the sensors' noise, that of the first state to first and to second order. Without the
-    last, windows in which the noise decides whether a foot touches the floor would outweigh all others. Where a first
-    velocity is a slope of positions, the noise of one of these may be compared as well (``offsets``: samples that are).
+    R = Σ + S Σ₀ Sᵀ + 2 B Σ₀² Bᵀ + C Cᵀ: the sensors' noise, that of the first state to first and to second order, and
+    what it does beyond that (``rest``). Without the last two, windows in which the noise decides whether and when a
+    foot touches the floor would outweigh all others. Where a first velocity is a slope of positions, the noise of one
+    of these may be compared as well (``offsets``: samples that are).
     """
     n, j, channels, _ = at.slope.shape
     rows = np.flatnonzero(np.tile(compared, j))
-    S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start)], -1)
+    S = np.concatenate([at.slope * noise.start, 2**0.5 * at.bend * np.square(noise.start), at.rest], -1)
     S = S.reshape(n, j * channels, -1)[:, rows]
     R = S @ S.transpose(0, 2, 1)
     R[:, np.arange(len(rows)), np.arange(len(rows))] += np.square(np.tile(noise.sensors, j)[rows])

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from idapt_pl.prediction.data import START_UP, Recording, Windows
+from idapt_pl.prediction.data import Recording, Windows
 from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.stretches.stretch import ForecastErrors, Stretch, runs_of
 
@@ -132,7 +132,7 @@ def stretches_of(
     if not len(starts):
         return []
     since, worst = record.time - record.time[0], error.max(1)
-    late_enough = since[starts] >= START_UP  # what was commanded before may act until then
+    late_enough = since[starts] >= record.start_up  # what was commanded before may act until then
     apart = float(np.median(np.diff(since[starts]))) if len(starts) > 1 else np.inf
     marked = np.zeros(len(starts), bool)
     for a, b in runs_of(without_short_gaps(worst > threshold, int(LONGEST_GAP / apart + 1e-6)) & late_enough):

@@ -9,6 +9,8 @@ from idapt_pl.deployment_faults.find import find_deployment_faults
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.effects.own_signals import take_signals
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
+from idapt_pl.prediction.data import Recording, Windows, as_recordings, sample_windows
+from idapt_pl.prediction.held_commands import HeldCommands
 
 ARM = """<mujoco><option timestep="0.001953125"/><worldbody>
 <body name="a" pos="0 0 1"><joint name="j" axis="0 1 0" damping="0.3"/>
@@ -59,6 +61,37 @@ def test_the_right_model_leaves_noise_and_has_no_fault(actuators):
     context, state = begin_search(spec, data, candidates=["joint_damping"], threads=1)
     assert np.sqrt(context.loss(state.windows.held_out, ()).mean()) < 1.1
     assert find_deployment_faults(spec, data).faults == ()
+
+
+@pytest.mark.parametrize("kind", ["filter", "filterexact"])
+@pytest.mark.parametrize("early", ["false", "true"])
+def test_commands_arrive_as_mujocos_filters_pass_them_on(kind, early):
+    """Commands that jump every four time steps: what arrives in each step is what MuJoCo makes a force of."""
+    filters = [f'<general name="{n}" joint="j" dyntype="{kind}" dynprm="{lag}" actearly="{early}"/>'
+               for n, lag in (("a", 0.1), ("b", 0.03), ("c", 0.1))]  # fmt: skip
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><option timestep="0.005"/><worldbody><body><joint name="j" type="slide"/><geom size="0.1"/></body>'
+        f"</worldbody><actuator>{''.join(filters)}</actuator></mujoco>"
+    )
+    model, u = spec.copy().compile(), np.repeat(np.random.default_rng(0).uniform(-1, 1, (20, 3)), 4, 0)
+    d, force = mujoco.MjData(model), []
+    for a in u:
+        d.ctrl[:] = a
+        for _ in range(4):
+            mujoco.mj_step(model, d)
+            force.append(d.actuator_force.copy())
+    plain, own = take_signals(spec)
+    commands = HeldCommands(plain.compile(), [Recording("r", 0.02 * np.arange(81), *np.zeros((2, 81, 1)), u)], own)
+    arrived = commands.averaged((), Windows(np.zeros(1, int), np.array([40]), np.array([40])), 160, 0.005)[0]
+    np.testing.assert_allclose(arrived, force[160:], atol=1e-3)
+
+
+def test_windows_begin_once_filters_hold_what_was_commanded_since():
+    spec = mujoco.MjSpec.from_string(ARM.format(FILTER.format("m", "j", 1, 0.1), PLAIN))
+    data, measured = as_recordings(spec.compile(), recorded((FILTER.format("m", "j", 1, 0.1), PLAIN)))
+    assert measured and data[0].start_up == pytest.approx(0.8)
+    starts = sample_windows(data, np.arange(len(data)), 5, 5, 10**6, 0).start
+    assert starts.min() == int(np.ceil(0.8 / (10 / 512)))
 
 
 def test_what_actuators_do_to_commands_is_taken_out_of_the_model():

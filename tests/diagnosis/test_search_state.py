@@ -77,6 +77,26 @@ def test_a_coarse_time_step_does_as_long_as_it_changes_little_of_what_is_left():
     assert step(FINE, (1e-6, 1e-5)) == 0.001, "what the coarse step changes is all that is left"
 
 
+STOPPED = ARM.replace('name="shoulder"', 'name="shoulder" range="-0.5 0.5"').replace(
+    'name="elbow"', 'name="elbow" range="0 0.5" solreflimit="-40000 -20"'
+)
+
+
+@pytest.mark.parametrize(("model", "does"), [(ARM, True), (STOPPED, False)])
+def test_a_cheaper_integrator_than_the_models_is_used_unless_differences_grow(model, does):
+    """RK4 takes four times as long. Where a stop is hit again and again, another integrator hits it at other times."""
+    exact = model.replace('integrator="implicitfast"', 'integrator="RK4"').replace("0.004", "0.01")
+    context, state = begin_search(
+        mujoco.MjSpec.from_string(exact), record(exact, size=3.0, steps=160, skip=2), threads=1,
+        settings=SearchSettings(numerics=False),
+    )  # fmt: skip
+    split, damped = state.windows.fit, (DAMPING.effect([0.1]),)
+    step = context.coarse_step(split, ())
+    assert step == (0.01 if does else 0.0)
+    swapped = context.whitened(split, context.with_coarse_numerics(damped, step))
+    assert np.array_equal(swapped, context.whitened(split, damped)) == (not does)
+
+
 def test_a_fit_with_a_coarse_time_step_comes_to_the_same():
     data = record(FINE.replace('damping="0.02"', 'damping="0.06"'), skip=20)
     context, state = begin_search(mujoco.MjSpec.from_string(FINE), data, settings=SearchSettings(numerics=False))

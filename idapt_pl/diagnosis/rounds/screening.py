@@ -125,19 +125,19 @@ class ScoreTest:
         context: of the search.
         state: the current model.
         split: windows to score on.
-        step: longest time step with which to simulate what candidates change; default is the model's, as found.
+        step: longest time step with which to simulate what candidates change; default (0) is the model's, as found.
         kept: responses of earlier looks, that count where the model has moved little since.
         any_model: or if that was under whatever model.
         respond: what an effect changes in whitened residuals, (n, rows); default is to simulate it.
     """
 
     def __init__(
-        self, context: SearchContext, state: SearchState, split: WhitenedWindows, step: float | None = None,
+        self, context: SearchContext, state: SearchState, split: WhitenedWindows, step: float = 0.0,
         kept: Responses | None = None, any_model: bool = False, respond: Callable[[Effect], np.ndarray] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self.state, self.split, self.respond = context.settings, state, split, respond
         self.residual: Callable[[Effects], np.ndarray] = lambda e: split.unwhitened(
-            context.sim, context.with_coarse_numerics(e, step) if step else e
+            context.sim, context.with_coarse_numerics(e, step)
         )
         z, self.base = context.whitened(split, state.effects), self.residual(state.effects)
         self.responses = (kept or Responses()).under(split, self.base, any_model)

@@ -19,10 +19,14 @@ from idapt_pl.prediction.data import Windows
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects, Simulator
-from idapt_pl.prediction.whitening import WhitenedWindows
+from idapt_pl.prediction.whitening import WhitenedWindows, whiten
 
 SAME_WHEN_COARSE = 0.02
 """Share of what is left (squared) that a coarser time step may change in it."""
+
+NUDGE, DIFFER_ALIKE = 0.02, 0.3
+"""Of the usual velocities, by which first states are moved to see whether an integrator does; and the share (squared)
+by which what that changes may differ in half of the windows. Where a strike leads to the next, it is more than all."""
 
 FITS_ABOUT, WORTH_ANOTHER_FIT = 3, 0.005
 """Fits with a coarse time step one after the other at most, and the share of the loss that another must be about."""
@@ -105,7 +109,8 @@ class SearchContext:
         the model's own were found, slopes are measured with its own. Slopes that have to be ``exact`` are measured so.
         """
         start = (*fixed, *effects_of(candidates, x))
-        if not exact and self.coarse_step(split, start) > float(self.sim.model.opt.timestep):
+        step = 0.0 if exact else self.coarse_step(split, start)
+        if step > float(self.sim.model.opt.timestep):
             found = self._fit_about(split, fixed, candidates, x, iterations, slopes, good_enough)
             if found is not None:
                 return found
@@ -114,9 +119,9 @@ class SearchContext:
             return self.whitened(split, effects)
 
         def coarse(effects: Effects) -> np.ndarray:
-            return self.whitened(split, self.with_coarse_numerics(effects))
+            return self.whitened(split, self.with_coarse_numerics(effects, step))
 
-        cheaper = None if exact or self.with_coarse_numerics(fixed) is fixed else coarse
+        cheaper = None if self.with_coarse_numerics(fixed, step) is fixed else coarse
         everywhere = self.sim.side_by_side.map
         return fit_candidates(
             residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper, everywhere
@@ -172,15 +177,41 @@ class SearchContext:
     def coarse_step(self, split: WhitenedWindows, effects: Effects) -> float:
         """Time step [s] that will do for what others change in predictions, at least the model's own.
 
-        That is a quarter of the control period, where predictions under some effects are much the same with it.
+        That is a quarter of the control period, where predictions under some effects are much the same with it. 0 where
+        not even a cheaper integrator than the model's own does, as when feet and end stops make all differences grow.
         """
         longest, own = self.sim.control_period / 4, float(self.sim.model.opt.timestep)
-        coarser = self.with_coarse_numerics(effects, longest)
-        if coarser is effects or judges_forces(split):
+        if judges_forces(split):
             return own
         now = self.whitened(split, effects)
-        same = np.square(self.whitened(split, coarser) - now).sum() < SAME_WHEN_COARSE * np.square(now).sum()
-        return longest if same else own
+
+        def does(step: float) -> bool:
+            moved = self.whitened(split, self.with_coarse_numerics(effects, step)) - now
+            return bool(np.square(moved).sum() < SAME_WHEN_COARSE * np.square(now).sum())
+
+        if self.with_coarse_numerics(effects, longest) is effects:
+            return own
+        if does(longest):
+            return longest
+        finer_found = any(isinstance(e, Numerics) for e in effects)
+        return own if finer_found or self.differ_alike(split, own) else 0.0
+
+    def differ_alike(self, split: WhitenedWindows, step: float) -> bool:
+        """Whether predictions from a moved first state differ as much with coarse numerics as with the model's own."""
+        speed = np.sqrt(np.mean([np.square(r.qvel).mean(0) for r in self.sim.data], 0))
+        nudge = NUDGE * np.concatenate([np.zeros_like(speed), speed])
+
+        def differ(effects: Effects) -> np.ndarray:
+            return whiten(
+                split.W, self.sim.residual(effects, split.windows, nudge) - split.unwhitened(self.sim, effects)
+            )
+
+        coarse = self.with_coarse_numerics(self.declared, step)
+        if coarse is self.declared:
+            return True
+        exact = differ(self.declared)
+        wrong = np.square(differ(coarse) - exact).sum(1) / (np.square(exact).sum(1) + 1e-12)
+        return float(np.median(wrong)) < DIFFER_ALIKE
 
     @property
     def numerics_declared(self) -> bool:
@@ -190,9 +221,9 @@ class SearchContext:
     def with_coarse_numerics(self, effects: Effects, longest_step: float | None = None) -> Effects:
         """Effects with a time step of a quarter of the control period in place of a finer one.
 
-        Good enough for a first look. It is no longer than ``longest_step`` (default: the model's own).
+        Good enough for a first look. It is no longer than ``longest_step`` (default: the model's own; 0 for as it is).
         """
-        if self.numerics_declared:
+        if self.numerics_declared or longest_step == 0:
             return effects
         found, opt = next((e for e in effects if isinstance(e, Numerics)), None), self.sim.model.opt
         exact = found.timestep if found else float(opt.timestep)
