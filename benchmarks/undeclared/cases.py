@@ -428,6 +428,28 @@ _add(
     hidden.joint_damping("r_shoulder_lift_joint", 2.5),
 )
 
+# --- legged machines: a strike leads to the next --------------------------------------------------------------
+
+ANT, HUMANOID, QUADRUPED = "ant", "humanoid", "quadruped"
+
+_add("ant_torso_mass", ANT, hidden.body_mass("torso", 0.5), numerics=SAME)
+_add("ant_hip_damping", ANT, hidden.joint_damping("hip_2", 4.0), numerics=SAME)
+_add("ant_ankle_gain", ANT, hidden.motor_gain("ankle_3", 0.75), numerics=SAME)
+_add("ant_hip_armature", ANT, hidden.joint_armature("hip_4", 1.6), numerics=SAME)
+_add("ant_delay", ANT, hidden.command_delay(0.05), also=ALL_DELAY, numerics=SAME)
+_add("humanoid_thigh_mass", HUMANOID, hidden.body_mass("right_thigh", 7.5), numerics=SAME)
+_add("humanoid_knee_gain", HUMANOID, hidden.motor_gain("left_knee", 0.7), numerics=SAME)
+_add("humanoid_elbow_damping", HUMANOID, hidden.joint_damping("right_elbow", 4.0), numerics=SAME)
+_add("quadruped_hip_mass", QUADRUPED, hidden.body_mass("hip_front_left", 7.0), numerics=SAME)
+_add("quadruped_knee_damping", QUADRUPED, hidden.joint_damping("knee_back_right", 70.0), numerics=SAME)
+_add("quadruped_ankle_friction", QUADRUPED, hidden.joint_frictionloss("ankle_front_right", 12.0), numerics=SAME)
+_add("quadruped_delay", QUADRUPED, hidden.command_delay(0.04), also=ALL_DELAY, numerics=SAME)
+_add("control_ant", ANT, numerics=SAME)
+_add("control_humanoid", HUMANOID, numerics=SAME)
+_add("control_quadruped", QUADRUPED, numerics=SAME)
+_add("control_ant_fine", ANT)
+_add("control_quadruped_fine", QUADRUPED)
+
 # --- controls: nothing is hidden -------------------------------------------------------------------------
 
 _add("control_pendulum", PENDULUM, numerics=SAME)

@@ -82,11 +82,27 @@ def _text(root: ET.Element) -> str:
 
 
 def _from_gymnasium(file: str) -> str:
-    """A Gymnasium asset with names for all elements, explicit geom masses, and no textures or settings in the way."""
-    root = ET.parse(ASSETS / file).getroot()
-    for tag in ("asset", "size"):
+    """A Gymnasium asset, as of :func:`_plain`."""
+    return _plain(ET.parse(ASSETS / file).getroot())
+
+
+def _quadruped() -> str:
+    """dm_control's four-legged machine, as of :func:`_plain`: servos with filters of their own, three on each leg.
+
+    Two of them pull at several joints, through tendons.
+    """
+    from dm_control.suite import quadruped  # opens a window's library, which warns where there is no window
+
+    return _plain(ET.fromstring(quadruped.make_model(floor_size=10)))
+
+
+def _plain(root: ET.Element) -> str:
+    """A model with names for all elements, explicit geom masses, and no textures or settings in the way."""
+    for tag in ("asset", "size", "include", "sensor"):
         for child in root.findall(tag):
             root.remove(child)
+    if root.find("compiler") is None:
+        root.insert(0, ET.Element("compiler"))
     compiler = root.find("compiler")
     total = compiler.get("settotalmass")
     for attribute in ("coordinate", "settotalmass", "inertiafromgeom"):  # the last one would overrule <inertial>
@@ -104,11 +120,12 @@ def _from_gymnasium(file: str) -> str:
 
 
 def _name(root: ET.Element) -> None:
-    for body in root.iter("body"):
+    for number, body in enumerate(root.iter("body"), 1):
+        body.attrib.setdefault("name", f"body{number}")
         for i, geom in enumerate(body.findall("geom")):
             geom.attrib.setdefault("name", body.get("name") + (f"_{i}" if i else ""))
     for actuator in root.find("actuator"):
-        actuator.attrib.setdefault("name", actuator.get("joint"))
+        actuator.attrib.setdefault("name", actuator.get("joint") or actuator.get("tendon"))
         actuator.attrib.setdefault("gear", "1")
 
 
@@ -119,6 +136,7 @@ def _volume(kind: int, size: np.ndarray) -> float:
         mujoco.mjtGeom.mjGEOM_SPHERE: ball,
         mujoco.mjtGeom.mjGEOM_CAPSULE: ball + 2 * np.pi * r**2 * half,
         mujoco.mjtGeom.mjGEOM_CYLINDER: 2 * np.pi * r**2 * half,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: 4 / 3 * np.pi * np.prod(size),
     }[mujoco.mjtGeom(int(kind))]
 
 
@@ -402,6 +420,45 @@ MODELS: dict[str, Model] = {
         start=((-0.6, 0.6),) * 2,
         start_speed=0.0,
         noise=Noise(1e-3, 1e-2),
+    ),
+    "ant": Model(
+        build=lambda: _from_gymnasium("ant.xml"),
+        frame_skip=5,
+        episodes=14,
+        steps=(60, 90),
+        amplitude=(0.6,) * 8,
+        fastest=3.0,
+        start=(
+            *((-0.1, 0.1),) * 2,
+            (0.6, 0.75),
+            (1.0, 1.0),
+            *((0.0, 0.0),) * 3,
+            *((-0.3, 0.3), (0.7, 1.0), (-0.3, 0.3), (-1.0, -0.7), (-0.3, 0.3), (-1.0, -0.7), (-0.3, 0.3), (0.7, 1.0)),
+        ),
+        start_speed=0.1,
+        noise=Noise(5e-4, 1e-2),
+    ),
+    "humanoid": Model(
+        build=lambda: _from_gymnasium("humanoid.xml"),
+        frame_skip=5,
+        episodes=14,
+        steps=(60, 90),
+        amplitude=(0.25,) * 17,
+        fastest=3.0,
+        start=(*((-0.1, 0.1),) * 2, (1.3, 1.4), (1.0, 1.0), *((0.0, 0.0),) * 3, *((-0.1, 0.1),) * 17),
+        start_speed=0.1,
+        noise=Noise(5e-4, 1e-2),
+    ),
+    "quadruped": Model(
+        build=_quadruped,
+        frame_skip=4,
+        episodes=12,
+        steps=(90, 120),
+        amplitude=(0.5, 0.6, 0.5) * 4,
+        fastest=3.0,
+        start=(*((-0.1, 0.1),) * 2, (0.55, 0.6), (1.0, 1.0), *((0.0, 0.0),) * 3, *((-0.1, 0.1),) * 16),
+        start_speed=0.1,
+        noise=Noise(5e-4, 1e-2),
     ),
     "rotary_pendulum": Model(
         build=_rotary_pendulum,
