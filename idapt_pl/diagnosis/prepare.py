@@ -19,7 +19,7 @@ from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.joints import JointBacklash
 from idapt_pl.prediction.data import Recording, as_recordings
-from idapt_pl.prediction.horizon import choose_horizon, noise_windows, usable_episodes
+from idapt_pl.prediction.horizon import choose_horizon, lengthen, noise_windows, usable_episodes
 from idapt_pl.prediction.model import name_elements
 from idapt_pl.prediction.noise import Noise, estimate_noise
 from idapt_pl.prediction.simulator import Simulator
@@ -48,6 +48,8 @@ def begin_with(
     probe = noise_windows(sim, splits[0], seed)
     first_noise = noise or estimate_noise(sim, declared, probe)
     steps = choose_horizon(sim, declared, first_noise, splits, seed)
+    if noise is None:
+        steps = lengthen(sim, declared, first_noise, splits, steps, seed)
     sizes = typical_sizes(sim.model, sim.data, steps * sim.control_period)
     sizes = replace(sizes, stops=furthest_positions(sim))
     begin = sim.spec_with([e for e in declared if not isinstance(e, JointBacklash)])  # that adds joints

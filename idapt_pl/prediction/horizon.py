@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from idapt_pl.effects.actuators import ActuatorGain
 from idapt_pl.prediction.data import Recording, UnusableData, Windows, sample_windows, slope_reach
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects, Simulator
-from idapt_pl.prediction.whitening import initial_sensitivity
+from idapt_pl.prediction.whitening import initial_sensitivity, whiten, whitener
 
 SHORTEST = 6
 """Control steps that the usual episode must last where only positions were measured."""
 
 SHORTEST_WINDOW = 5
 """Control steps in a window at least, where episodes are long enough."""
+
+WEAKER, ENOUGH = 0.9, 100.0
+"""Motors so much weaker must show in the held-out windows by so many sigma², all together; else windows are doubled."""
+
+WORTH_DOUBLING = 1.5
+"""Times as much must they show in windows of twice the length."""
+
+FEWEST_FITTED, FEWEST_JUDGED = 24, 8
+"""Windows that must be left for that."""
 
 
 def noise_windows(sim: Simulator, episodes: np.ndarray, seed: int) -> Windows:
@@ -83,3 +93,32 @@ def informative(
     at = initial_sensitivity(sim, effects, windows, noise.start)
     linear = np.square(at.slope * noise.start).sum(-1) + np.square(noise.sensors)
     return float(np.mean(np.square(at.bend * np.square(noise.start)).sum(-1) > 0.1 * linear)) < 0.1
+
+
+def lengthen(
+    sim: Simulator, effects: Effects, noise: Noise, splits: tuple[np.ndarray, np.ndarray], steps: int, seed: int
+) -> int:
+    """Control steps in a window, doubled as long as weaker motors do not show: of a slow machine, or a noisy log.
+
+    Arguments as of :func:`choose_horizon`, and the control steps that it chose.
+    """
+    if not sim.model.nu:
+        return steps
+    shown = motors_show(sim, effects, noise, splits[1], steps, seed)
+    while shown < ENOUGH:
+        fitted, judged = (len(sample_windows(sim.data, part, 2 * steps, 5, 250, seed)) for part in splits)
+        if fitted < FEWEST_FITTED or judged < FEWEST_JUDGED:
+            break
+        longer = motors_show(sim, effects, noise, splits[1], 2 * steps, seed)
+        if longer < WORTH_DOUBLING * shown:
+            break
+        steps, shown = 2 * steps, longer
+    return steps
+
+
+def motors_show(sim: Simulator, effects: Effects, noise: Noise, episodes: np.ndarray, steps: int, seed: int) -> float:
+    """What weaker motors change in forecasts of some episodes: sigma², all windows together."""
+    windows = sample_windows(sim.data, episodes, steps, 5, 250, seed)
+    W = whitener(initial_sensitivity(sim, effects, windows, noise.start), noise, sim.compared, windows.offsets)
+    change = sim.residual((*effects, ActuatorGain("*", WEAKER)), windows) - sim.residual(effects, windows)
+    return float(np.square(whiten(W, change)).sum())

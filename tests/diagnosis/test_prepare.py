@@ -1,4 +1,4 @@
-"""Which episodes are fitted and which are judged on."""
+"""Which episodes are fitted and which are judged on, and how long the windows are."""
 
 import sys
 from dataclasses import replace
@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.prepare import begin_search, split_episodes
+from idapt_pl.diagnosis.search import diagnose
+from idapt_pl.prediction.horizon import motors_show
 from idapt_pl.stretches.stretch import with_marks
 
 sys.path.insert(0, str(ROOT / "tests" / "diagnosis"))
@@ -44,3 +47,40 @@ def test_fragments_are_neither_fitted_nor_held_out(fragments):
     context, _ = begin_search(mujoco.MjSpec.from_string(ARM), replace(data, episodes=episodes), threads=1)
     used = sorted([*context.fit_episodes, *context.held_out_episodes])
     assert used == [0, 1 + fragments, 2 + fragments] and context.steps == 5
+
+
+SLOW = """
+<mujoco>
+  <option timestep="0.02"/>
+  <worldbody>
+    <body><joint name="x" type="slide" axis="1 0 0" damping="1"/><geom size="0.1" mass="{mass}"/></body>
+  </worldbody>
+  <actuator><motor name="push" joint="x" gear="0.1"/></actuator>
+</mujoco>"""
+
+
+def drives(mass, episodes=16, steps=160):
+    """A cart that is pushed gently, and seen with noise of half a millimetre."""
+    model, rng, made = mujoco.MjModel.from_xml_string(SLOW.format(mass=mass)), np.random.default_rng(0), []
+    for _ in range(episodes):
+        d, u, rows = mujoco.MjData(model), np.repeat(rng.uniform(-1, 1, (steps // 16, 1)), 16, 0), []
+        for a in (*u, u[-1]):
+            rows.append([d.qpos[0], d.qvel[0]])
+            d.ctrl[:] = a
+            mujoco.mj_step(model, d)
+        q, v = np.array(rows).T[..., None] + np.array([[[5e-4]], [[5e-3]]]) * rng.normal(size=(2, steps + 1, 1))
+        made.append(Episode(u, {"qpos": q, "qvel": v}))
+    return Trajectories(tuple(made), 0.02)
+
+
+def test_windows_are_longer_where_little_shows_of_a_motor_in_short_ones():
+    spec = mujoco.MjSpec.from_string(SLOW.format(mass=0.6))
+    context, state = begin_search(spec, drives(0.6), threads=1)
+    assert context.steps >= 20
+    shown = motors_show(context.sim, (), state.windows.noise, context.held_out_episodes, context.steps, 0)
+    assert shown > 3 * motors_show(context.sim, (), state.windows.noise, context.held_out_episodes, 5, 0)
+    lively, _ = begin_search(mujoco.MjSpec.from_string(ARM), record(), threads=1)
+    assert lively.steps == 5
+    effects = diagnose(spec, drives(0.8), threads=1, candidates=["body_mass", "joint_damping"]).report["effects"]
+    assert [e["effect"] for e in effects] == ["body_mass"]
+    assert effects[0]["parameters"]["mass"]["estimate"] == pytest.approx(0.8, rel=0.05)
