@@ -168,16 +168,21 @@ class JointBacklash(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for joint in find_elements(spec, "joints", self.target):
+            if joint.name.endswith(PLAY_SUFFIX):
+                continue
             if self.width and joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
                 self.loosen(spec, joint)
 
     def loosen(self, spec: mujoco.MjSpec, joint: Any) -> None:
-        """Put the second joint behind one."""
+        """Put the second joint behind one; where there is one already, the two plays add up."""
+        half = self.width / 2 * per_radian(spec, joint)
+        if (there := spec.joint(joint.name + PLAY_SUFFIX)) is not None:
+            there.range = (there.range[0] - half, there.range[1] + half)
+            return
         # without inertia of its own the motor could not be told from the link
         felt = float(spec.copy().compile().joint(joint.name).M0[0])
         joint.armature = max(joint.armature, 0.01 * felt)
         play = joint.parent.add_joint(name=joint.name + PLAY_SUFFIX, type=joint.type, axis=joint.axis, pos=joint.pos)
-        half = self.width / 2 * per_radian(spec, joint)
         play.limited, play.range = True, (-half, half)
         play.armature = play.frictionloss = play.margin = play.ref = play.springref = 0.0
         play.stiffness[:] = play.damping[:] = 0.0

@@ -16,7 +16,7 @@ SHORTEST = 6
 SHORTEST_WINDOW = 5
 """Control steps in a window at least, where episodes are long enough."""
 
-WEAKER, ENOUGH = 0.9, 100.0
+WEAKER, SHOWN_ENOUGH = 0.9, 100.0
 """Motors so much weaker must show in the held-out windows by so many sigma², all together; else windows are doubled."""
 
 WORTH_DOUBLING = 1.5
@@ -105,7 +105,7 @@ def lengthen(
     if not sim.model.nu:
         return steps
     shown = motors_show(sim, effects, noise, splits[1], steps, seed)
-    while shown < ENOUGH:
+    while shown < SHOWN_ENOUGH:
         fitted, judged = (len(sample_windows(sim.data, part, 2 * steps, 5, 250, seed)) for part in splits)
         if fitted < FEWEST_FITTED or judged < FEWEST_JUDGED:
             break

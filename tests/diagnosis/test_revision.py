@@ -114,6 +114,14 @@ def test_a_rival_has_to_remove_a_noticeable_part(better, swapped, monkeypatch):
     assert (names(now)[0] == "joint_armature(a)") is swapped
 
 
+def test_what_is_accepted_in_another_place_is_no_rival():
+    """Found in an earlier round as a rival, accepted in a later one: twice it would be another model, or none."""
+    state, trial = accepted(A, B), Trial(B, 0, 10.0, (np.array([0.2]),), gain=1.0)
+    assert (
+        swap_one(context(lambda found: 1.0 if ("joint_damping", "a") not in found else 2.0), state, 0, [trial]) is state
+    )
+
+
 def test_more_parameters_have_to_be_worth_it(monkeypatch):
     monkeypatch.setattr("idapt_pl.diagnosis.rounds.revision.renew", lambda context, state: state)
     wide = Candidate(JointFrictionloss, "a", ("frictionloss",) * 8, (0.0,) * 8, (0.1,) * 8)

@@ -457,6 +457,12 @@ def test_stribeck_friction_without_a_fall_is_dry_friction(coulomb):
     assert not JointStribeck("slide", coulomb, coulomb, 0.1).force(v, v, v).any()
 
 
+def test_two_plays_in_one_joint_add_up():
+    twice = compiled(JointBacklash("hinge", 0.05), JointBacklash("*", 0.15))
+    assert twice.joint("hinge play").range == pytest.approx([-0.1, 0.1])
+    assert twice.njnt == compiled(JointBacklash("*", 0.2)).njnt
+
+
 def test_a_link_with_backlash_turns_freely_by_the_width_and_no_further():
     model = compiled(JointBacklash("hinge", 0.2), JointFrictionloss("hinge", 50.0))
     data, behind = mujoco.MjData(model), model.joint("hinge play")

@@ -97,7 +97,8 @@ def rivals_for(context: SearchContext, state: SearchState, place: int) -> list[T
 
 def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Sequence[Trial]) -> SearchState:
     """The state with a rival in the place of an effect, or the same where none is clearly better."""
-    old = state.accepted[place]
+    old, known = state.accepted[place], {(c.label, c.names) for c in state.candidates}
+    rivals = [t for t in rivals if (t.candidate.label, t.candidate.names) not in known]
     now = context.loss(state.windows.held_out, state.effects)
     best: Candidate | None = None
     best_x: tuple[np.ndarray, ...] = ()
