@@ -95,3 +95,14 @@ def test_predictions_are_compared_with_the_others_as_fitted_beside_each(state):
     now = with_equivalents_of_now(search, state)
     first, second = predictions_apart(search, now, now.accepted[0])
     assert first.tolist() == [[0.5, 0.6]] and second.tolist() == [[0.0, 0.9]]
+
+
+@pytest.mark.parametrize(("gain", "left", "could_be"), [(9.5, 1.0, True), (9.5, 2.0, False), (5.0, 1.0, False)])
+def test_a_rival_that_was_nearly_as_good_may_be_as_good_beside_what_was_found_since(state, gain, left, could_be):
+    first, second = state.accepted
+    (equal,) = first.equivalent
+    near = replace(first, equivalent=(), rivals=(replace(equal, gain=gain),), gain=10.0)
+    now, _ = with_equivalents_of_now(context(left), replace(state, accepted=(near, second))).accepted
+    assert [t.candidate for t in now.equivalent] == [ARMATURE] * could_be
+    alone = replace(state, accepted=(near,))
+    assert with_equivalents_of_now(context(left), alone) is alone, "it was judged with nothing else missing"

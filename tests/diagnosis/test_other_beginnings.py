@@ -71,7 +71,7 @@ def test_a_little_better_is_not_enough(search):
 
 
 def test_where_most_is_explained_nothing_is_begun_again(search):
-    assert search({"a": 4.0}, {}) == ("a", []), "less than 0.4 of what there was"
+    assert search({"a": 2.5}, {}) == ("a", []), "less than 0.2 of what there was"
     assert search({"abc": 8.0}, {}, ended="abc") == ("abc", []), "a search that went on"
     assert search({"": 1.9, "a": 1.5}, {}) == ("a", []), "nearly at the noise"
 

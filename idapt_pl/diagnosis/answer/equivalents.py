@@ -13,10 +13,16 @@ from idapt_pl.diagnosis.rounds.revision import with_rival
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 
+NEARLY_AS_GOOD = 0.9
+"""Share of an effect's gain that a rival had beside it: found before others were known, it may be as good by now."""
+
 
 def with_equivalents_of_now(context: SearchContext, state: SearchState) -> SearchState:
-    """The state with the equivalents of each effect fitted again; those that are clearly worse now are mere rivals."""
-    if not any(a.equivalent for a in state.accepted):
+    """The state with the equivalents of each effect fitted again; those that are clearly worse now are mere rivals.
+
+    So are rivals of as many parameters that were nearly as good, where others were found since.
+    """
+    if not any(a.equivalent or may_do_as_well(a, state) for a in state.accepted):
         return state
     losses = context.loss(state.windows.held_out, state.effects)
     return replace(state, accepted=tuple(judged_again(context, state, a, losses) for a in state.accepted))
@@ -24,13 +30,22 @@ def with_equivalents_of_now(context: SearchContext, state: SearchState) -> Searc
 
 def judged_again(context: SearchContext, state: SearchState, effect: AcceptedEffect, now: np.ndarray) -> AcceptedEffect:
     """An effect with the equivalents that still are; ``now``: held-out losses of what was found, (n,)."""
-    others = [t for t in effect.equivalent if not is_accepted(t, state)]
-    fitted = [fitted_instead(context, state, effect, t) for t in others]
+    fitted = [fitted_instead(context, state, effect, t) for t in may_do_as_well(effect, state)]
     episodes = state.windows.held_out.windows.episode
     equal = tuple(t for t in fitted if not (clearly_worse(t, now, episodes) or worse_in_all(context, state, effect, t)))
     behind = tuple(t for t in fitted if t not in equal)
     rivals = (t for t in effect.rivals if not any(is_same(t, f) for f in fitted))
     return replace(effect, equivalent=equal, rivals=(*behind, *rivals))
+
+
+def may_do_as_well(effect: AcceptedEffect, state: SearchState) -> list[Trial]:
+    """Trials that an effect's place is tried with."""
+    near = [
+        t for t in effect.rivals
+        if len(state.accepted) > 1 and t.candidate.size == effect.candidate.size
+        and t.gain >= NEARLY_AS_GOOD * effect.gain and not any(is_same(t, e) for e in effect.equivalent)
+    ]  # fmt: skip
+    return [t for t in (*effect.equivalent, *near) if not is_accepted(t, state)]
 
 
 def clearly_worse(t: Trial, now: np.ndarray, episodes: np.ndarray) -> bool:

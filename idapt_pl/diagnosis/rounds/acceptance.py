@@ -132,7 +132,7 @@ def accept(state: SearchState, trials: Sequence[Trial]) -> tuple[SearchState | N
 
     others = (t for t in trials if t is not best and t.losses is not None)
     rivals = sorted(others, key=lambda t: t.held_out)[:3]
-    new = AcceptedEffect(best.round, best.candidate, best.x[-1], tuple(equivalent), tuple(rivals))
+    new = AcceptedEffect(best.round, best.candidate, best.x[-1], tuple(equivalent), tuple(rivals), gain=best.gain)
     log.info("found %s = %s; held-out error %.3g", best.candidate.label, best.x[-1].round(4), best.held_out)
     before = state.with_estimates(best.x[:-1])
     return replace(before, accepted=(*before.accepted, new)), [decided(t) for t in trials]

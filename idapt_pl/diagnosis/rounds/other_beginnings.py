@@ -17,7 +17,7 @@ from idapt_pl.prediction.force_windows import judges_forces
 log = logging.getLogger(__name__)
 FEW_FOUND = 2
 """Effects that a search ends with, at most, to begin otherwise."""
-POOR_SHARE = 0.4
+POOR_SHARE = 0.2
 """Share of the loss above noise that is then left, at least."""
 BETTER_SHARE = 0.75
 """Share of that which another beginning must come to, at most."""

@@ -30,6 +30,7 @@ class AcceptedEffect:
         rivals: the best that were refused for it.
         interval: 95 %, (p, 2); None before it is measured.
         implausible: why no machine has it, where nothing else explains the recordings; else empty.
+        gain: mean held-out loss without it minus with it, when it was accepted; infinite where that is not known.
     """
 
     round: int
@@ -39,6 +40,7 @@ class AcceptedEffect:
     rivals: tuple[Trial, ...] = ()
     interval: np.ndarray | None = None
     implausible: str = ""
+    gain: float = np.inf
 
     @property
     def unsure(self) -> bool:
