@@ -15,18 +15,26 @@ from idapt_pl.effects.signals import FILTERS, ActuatorDelay, ActuatorLag
 
 def take_signals(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, tuple[CommandEffect, ...]]:
     """A copy of a model whose actuators act at once, and what they did to commands before; they all have names."""
-    spec, taken = spec.copy(), list[CommandEffect]()
+    taken, spec = own_signals(spec, spec.option.timestep), spec.copy()
     for actuator in spec.actuators:
-        if actuator.nsample and actuator.delay > 0:
-            taken.append(ActuatorDelay(actuator.name, float(actuator.delay)))
         if actuator.nsample:
             actuator.delay, actuator.nsample = 0.0, 0
         if actuator.dyntype in FILTERS:
-            # a step's force follows from the filter's state when it begins, or when it ends
-            late = (-0.5 if actuator.actearly else 0.5) * spec.option.timestep
-            taken.append(ActuatorLag(actuator.name, exact_time_constant(actuator, spec.option.timestep), late))
             actuator.dyntype, actuator.actlimited = mujoco.mjtDyn.mjDYN_NONE, False
-    return spec, tuple(taken)
+    return spec, taken
+
+
+def own_signals(spec: mujoco.MjSpec, step: float) -> tuple[CommandEffect, ...]:
+    """What a model's actuators do to commands themselves, in a simulation with such time steps [s]."""
+    own = list[CommandEffect]()
+    for actuator in spec.actuators:
+        if actuator.nsample and actuator.delay > 0:
+            own.append(ActuatorDelay(actuator.name, float(actuator.delay)))
+        if actuator.dyntype in FILTERS:
+            # a step's force follows from the filter's state when it begins, or when it ends
+            late = (-0.5 if actuator.actearly else 0.5) * step
+            own.append(ActuatorLag(actuator.name, exact_time_constant(actuator, step), late))
+    return tuple(own)
 
 
 def exact_time_constant(actuator: mujoco.MjsActuator, step: float) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -25,11 +26,15 @@ class HeldCommands:
     Args:
         model: the nominal one.
         data: the recordings.
-        own: what the model's actuators do to commands themselves, after all other effects.
+        own: what the model's actuators do to commands themselves, after all other effects, for a time step [s].
     """
 
-    def __init__(self, model: mujoco.MjModel, data: Sequence[Recording], own: Sequence[CommandEffect] = ()) -> None:
-        self.model, self.data, self.own = model, data, for_many_at_once(own, model)
+    def __init__(
+        self, model: mujoco.MjModel, data: Sequence[Recording],
+        own: Callable[[float], Sequence[CommandEffect]] = lambda step: (),
+    ) -> None:  # fmt: skip
+        self.model, self.data = model, data
+        self.own = functools.cache(lambda step: for_many_at_once(own(step), model))
         self._kept = RecentArrays[np.ndarray](KEPT_COMMANDS)
 
     def averaged(self, effects: Sequence[Effect], windows: Windows, steps: int, h: float) -> np.ndarray:
@@ -65,7 +70,7 @@ class HeldCommands:
         for e in np.unique(windows.episode) if columns else ():
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions[:, columns])
-            for effect, meant in (*((e, e.columns(self.model)) for e in effects), *self.own):
+            for effect, meant in (*((e, e.columns(self.model)) for e in effects), *self.own(h)):
                 of = [columns.index(i) for i in meant if i in columns]
                 command = effect.transform(command, of, h) if of else command
             at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)

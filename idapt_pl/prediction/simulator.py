@@ -14,7 +14,7 @@ from mujoco import rollout
 
 from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import SignalForce
-from idapt_pl.effects.own_signals import take_signals
+from idapt_pl.effects.own_signals import own_signals, take_signals
 from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
 from idapt_pl.prediction.activations import FirstActivations
 from idapt_pl.prediction.applied_forces import AppliedForces
@@ -94,8 +94,7 @@ class Simulator:
         unmeasured: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.spec, self.velocities = spec, velocities
-        plain, self.own = take_signals(spec)
-        self._plain = without_textures(plain)
+        self._plain = without_textures(take_signals(spec)[0])
         self.model = self._plain.copy().compile()
         self.threads = threads or usable_cores()
         self.control_period = float(np.median(np.diff(data[0].time)))
@@ -114,7 +113,7 @@ class Simulator:
 
     def _record(self, data: list[Recording]) -> None:
         """Recordings, and what is kept of them."""
-        self.data, self.commands = data, HeldCommands(self.model, data, self.own)
+        self.data, self.commands = data, HeldCommands(self.model, data, lambda step: own_signals(self.spec, step))
         self.activations = FirstActivations(self.model, data)
         self._samples = RecentArrays[np.ndarray](KEPT_SAMPLES)
         self._predictions = RecentArrays[Motion](KEPT_PREDICTIONS)

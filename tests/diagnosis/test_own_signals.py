@@ -7,7 +7,7 @@ import pytest
 from datamodules import Episode, Trajectories
 from idapt_pl.deployment_faults.find import find_deployment_faults
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.effects.own_signals import take_signals
+from idapt_pl.effects.own_signals import own_signals, take_signals
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.prediction.data import Recording, Windows, as_recordings, sample_windows
 from idapt_pl.prediction.held_commands import HeldCommands
@@ -65,25 +65,31 @@ def test_the_right_model_leaves_noise_and_has_no_fault(actuators):
 
 @pytest.mark.parametrize("kind", ["filter", "filterexact"])
 @pytest.mark.parametrize("early", ["false", "true"])
-def test_commands_arrive_as_mujocos_filters_pass_them_on(kind, early):
-    """Commands that jump every four time steps: what arrives in each step is what MuJoCo makes a force of."""
+@pytest.mark.parametrize("divide", [1, 5])
+def test_commands_arrive_as_mujocos_filters_pass_them_on(kind, early, divide):
+    """Commands that jump every 0.02 s: what arrives in each time step is what MuJoCo makes a force of.
+
+    Also with finer time steps than the model's own, which a search may find.
+    """
     filters = [f'<general name="{n}" joint="j" dyntype="{kind}" dynprm="{lag}" actearly="{early}"/>'
                for n, lag in (("a", 0.1), ("b", 0.03), ("c", 0.1))]  # fmt: skip
     spec = mujoco.MjSpec.from_string(
         '<mujoco><option timestep="0.005"/><worldbody><body><joint name="j" type="slide"/><geom size="0.1"/></body>'
         f"</worldbody><actuator>{''.join(filters)}</actuator></mujoco>"
     )
-    model, u = spec.copy().compile(), np.repeat(np.random.default_rng(0).uniform(-1, 1, (20, 3)), 4, 0)
+    model = spec.copy().compile()
+    model.opt.timestep /= divide
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, (20, 3)), 4, 0)
     d, force = mujoco.MjData(model), []
     for a in u:
         d.ctrl[:] = a
-        for _ in range(4):
+        for _ in range(4 * divide):
             mujoco.mj_step(model, d)
             force.append(d.actuator_force.copy())
-    plain, own = take_signals(spec)
-    commands = HeldCommands(plain.compile(), [Recording("r", 0.02 * np.arange(81), *np.zeros((2, 81, 1)), u)], own)
-    arrived = commands.averaged((), Windows(np.zeros(1, int), np.array([40]), np.array([40])), 160, 0.005)[0]
-    np.testing.assert_allclose(arrived, force[160:], atol=1e-3)
+    data = [Recording("r", 0.02 * np.arange(81), *np.zeros((2, 81, 1)), u)]
+    commands = HeldCommands(take_signals(spec)[0].compile(), data, lambda step: own_signals(spec, step))
+    half, steps = Windows(np.zeros(1, int), np.array([40]), np.array([40])), 160 * divide
+    np.testing.assert_allclose(commands.averaged((), half, steps, 0.005 / divide)[0], force[steps:], atol=1e-3)
 
 
 def test_windows_begin_once_filters_hold_what_was_commanded_since():
