@@ -111,7 +111,7 @@ def draw_growth(axis: Axes, design: MotionDesign, rivals: Sequence[Rival]) -> No
 
 def motion_clip(design: MotionDesign, forecaster: MotionForecaster) -> bytes | None:
     """A GIF of the motion under the leading explanation, by the first camera; None without a camera, or without GL."""
-    model = forecaster.model
+    model = forecaster.sim.spec.copy().compile()  # that of the simulator has no textures
     if not model.ncam:
         return None
     seen, data = design.forecasts[0], mujoco.MjData(model)
