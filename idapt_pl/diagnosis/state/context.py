@@ -109,8 +109,8 @@ class SearchContext:
         the model's own were found, slopes are measured with its own. Slopes that have to be ``exact`` are measured so.
         """
         start = (*fixed, *effects_of(candidates, x))
-        step = 0.0 if exact else self.coarse_step(split, start)
-        if step > float(self.sim.model.opt.timestep):
+        own, step = float(self.sim.model.opt.timestep), 0.0 if exact else self.coarse_step(split, start)
+        if step > own:
             found = self._fit_about(split, fixed, candidates, x, iterations, slopes, good_enough)
             if found is not None:
                 return found
@@ -119,9 +119,9 @@ class SearchContext:
             return self.whitened(split, effects)
 
         def coarse(effects: Effects) -> np.ndarray:
-            return self.whitened(split, self.with_coarse_numerics(effects, step))
+            return self.whitened(split, self.with_coarse_numerics(effects, min(step, own)))
 
-        cheaper = None if self.with_coarse_numerics(fixed, step) is fixed else coarse
+        cheaper = None if self.with_coarse_numerics(fixed, min(step, own)) is fixed else coarse
         everywhere = self.sim.side_by_side.map
         return fit_candidates(
             residual, fixed, candidates, x, iterations, exact, slopes, good_enough, cheaper, everywhere
