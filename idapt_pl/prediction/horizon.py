@@ -90,7 +90,7 @@ def informative(
     windows, held_out = (sample_windows(sim.data, episodes, steps, 5, 40, seed) for episodes in splits)
     if len(windows) < 40 or len(held_out) < 12:
         return False
-    at = initial_sensitivity(sim, effects, windows, noise.start)
+    at = initial_sensitivity(sim, effects, windows, noise.start, draw=False)
     linear = np.square(at.slope * noise.start).sum(-1) + np.square(noise.sensors)
     return float(np.mean(np.square(at.bend * np.square(noise.start)).sum(-1) > 0.1 * linear)) < 0.1
 
@@ -117,8 +117,10 @@ def lengthen(
 
 
 def motors_show(sim: Simulator, effects: Effects, noise: Noise, episodes: np.ndarray, steps: int, seed: int) -> float:
-    """What weaker motors change in forecasts of some episodes: sigma², all windows together."""
+    """What weaker motors change in forecasts of some episodes: sigma², all windows together; 0 where there are none."""
     windows = sample_windows(sim.data, episodes, steps, 5, 250, seed)
+    if not len(windows):
+        return 0.0
     W = whitener(initial_sensitivity(sim, effects, windows, noise.start), noise, sim.compared, windows.offsets)
     change = sim.residual((*effects, ActuatorGain("*", WEAKER)), windows) - sim.residual(effects, windows)
     return float(np.square(whiten(W, change)).sum())

@@ -36,9 +36,12 @@ class InitialStateSensitivity:
 
 
 def initial_sensitivity(
-    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray
+    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray, draw: bool = True
 ) -> InitialStateSensitivity:
-    """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise."""
+    """The sensitivity to changes of the first state by ``size``, (2 nv,): of the order of its noise.
+
+    ``draw``: find out what is beyond second order, too; else there is no column of it.
+    """
     base, slope, bend = sim.residual(effects, windows), [], []
     nudges = [n for nudge in np.diag(size) for n in (nudge, -nudge)]
     moved = iter(sim.side_by_side.map(lambda n: sim.residual(effects, windows, n), nudges))
@@ -46,7 +49,9 @@ def initial_sensitivity(
         slope.append((above - below) / (2 * s))
         bend.append((above + below - 2 * base) / (2 * s**2))
     smooth = np.stack(slope, -1), np.stack(bend, -1)
-    return InitialStateSensitivity(*smooth, beyond_second_order(sim, effects, windows, size, base, *smooth))
+    nothing = np.zeros((*base.shape, 0))
+    rest = beyond_second_order(sim, effects, windows, size, base, *smooth) if draw else nothing
+    return InitialStateSensitivity(*smooth, rest)
 
 
 def beyond_second_order(

@@ -79,6 +79,7 @@ def test_windows_are_longer_where_little_shows_of_a_motor_in_short_ones():
     assert context.steps >= 20
     shown = motors_show(context.sim, (), state.windows.noise, context.held_out_episodes, context.steps, 0)
     assert shown > 3 * motors_show(context.sim, (), state.windows.noise, context.held_out_episodes, 5, 0)
+    assert motors_show(context.sim, (), state.windows.noise, context.held_out_episodes, 10**4, 0) == 0.0, "no window"
     lively, _ = begin_search(mujoco.MjSpec.from_string(ARM), record(), threads=1)
     assert lively.steps == 5
     effects = diagnose(spec, drives(0.8), threads=1, candidates=["body_mass", "joint_damping"]).report["effects"]

@@ -78,3 +78,6 @@ def test_where_motion_is_smooth_few_states_are_drawn_and_they_show_nothing():
     *_, at = right_model()
     size = np.repeat([NOISE_Q, NOISE_V], 2)
     assert at.rest.shape[-1] == 4 and np.abs(at.rest / size).max() < 0.05
+    sim, windows, *_ = right_model()
+    without = initial_sensitivity(sim, (), windows, size, draw=False)
+    assert without.rest.shape[-1] == 0 and np.array_equal(without.slope, at.slope)
