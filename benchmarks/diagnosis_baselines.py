@@ -44,7 +44,7 @@ from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.prediction.model import name_elements
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.state.search_state import SearchState
-from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.rolling import STATE
 from idapt_pl.prediction.simulator import silence_mujoco
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.nets.mlp import mlp

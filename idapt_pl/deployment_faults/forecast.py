@@ -20,7 +20,7 @@ from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.model_mend import mended_model
 from idapt_pl.effects.own_signals import first_activations
 from idapt_pl.prediction.data import measured_signals, slopes, steps_left_out
-from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.rolling import STATE
 from idapt_pl.prediction.simulator import silence_mujoco
 
 FORECAST_TIME = 0.06

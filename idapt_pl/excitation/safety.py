@@ -9,7 +9,7 @@ import numpy as np
 
 from idapt_pl.effects.candidate import scalar_joints
 from idapt_pl.excitation.limits import MotionLimits
-from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.rolling import STATE
 
 Pair = tuple[int, int]
 """Two geoms, by number."""

@@ -19,7 +19,7 @@ from idapt_pl.effects.runtime import SensingEffect
 from idapt_pl.effects.signals import SensorDelay
 from idapt_pl.effects.world import Numerics
 from idapt_pl.prediction.data import Windows
-from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.rolling import STATE
 from idapt_pl.prediction.simulator import Effects, Simulator
 from idapt_pl.prediction.whitening import WhitenedWindows
 

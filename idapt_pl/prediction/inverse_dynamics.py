@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+from idapt_pl.prediction.rolling import STATE
 
 
 def lacking_at_states(

@@ -10,23 +10,24 @@ from contextlib import contextmanager
 
 import mujoco
 import numpy as np
-from mujoco import rollout
 
 from idapt_pl.effects.base import PLAY_SUFFIX, Effect
 from idapt_pl.effects.learned import SignalForce
 from idapt_pl.effects.own_signals import own_signals, take_signals
 from idapt_pl.effects.runtime import ForceEffect, RuntimeEffect, SensingEffect
+from idapt_pl.effects.world import ExternalForce
 from idapt_pl.prediction.activations import FirstActivations
 from idapt_pl.prediction.applied_forces import AppliedForces
 from idapt_pl.prediction.backlash import BacklashCoordinates
-from idapt_pl.prediction.compiled_model import CompiledModel
+from idapt_pl.prediction.compiled_model import CompiledModel, for_motion_alone
 from idapt_pl.prediction.data import Recording, Windows, position_difference, shift_positions
 from idapt_pl.prediction.held_commands import HeldCommands
 from idapt_pl.prediction.interpolation import interpolate_states
-from idapt_pl.prediction.inverse_dynamics import STATE, lacking_at_states
+from idapt_pl.prediction.inverse_dynamics import lacking_at_states
 from idapt_pl.prediction.law_history import LawsInWindows
 from idapt_pl.prediction.model import without_textures
 from idapt_pl.prediction.recent import RecentArrays
+from idapt_pl.prediction.rolling import STATE, roll
 from idapt_pl.prediction.side_by_side import SideBySide
 from idapt_pl.usable_cores import usable_cores
 
@@ -35,9 +36,6 @@ Motion = tuple[np.ndarray, np.ndarray]
 """Positions and velocities."""
 Sense = Callable[[np.ndarray, np.ndarray], Motion]
 """What a sensor makes of positions and velocities, or the other way round."""
-COMMAND = mujoco.mjtState.mjSTATE_CTRL
-COMMAND_AND_FORCE = COMMAND | mujoco.mjtState.mjSTATE_QFRC_APPLIED | mujoco.mjtState.mjSTATE_XFRC_APPLIED
-
 
 SETTLING_SAMPLES = 8
 """Samples before a window from which it is found out where in their play joints are."""
@@ -147,7 +145,7 @@ class Simulator:
         with self._lock:
             if (kept := self._compiled.get(said)) is not None:
                 return kept
-        made = CompiledModel(self.spec_with(said).compile())
+        made = CompiledModel(for_motion_alone(self.spec_with(said).compile()))
         with self._lock:
             if len(self._compiled) >= self.kept_models:
                 self._compiled.pop(next(iter(self._compiled)))
@@ -339,35 +337,24 @@ class Simulator:
         start[:, 1 + model.nq : 1 + model.nq + model.nv] = qvel
         if model.na:
             start[:, 1 + model.nq + model.nv :][:, : model.na] = self.activations.at(controls[:, 0], windows)
-        forces = [e for e in effects if isinstance(e, ForceEffect)]
-        pushed = np.zeros((n, steps, model.nv + 6 * model.nbody))
         if push is not None:
-            pushed[..., : self.model.nv] = push[:, np.arange(steps) * push.shape[1] // steps]
+            push = push[:, np.arange(steps) * push.shape[1] // steps]
+        forces = [e for e in effects if isinstance(e, ForceEffect)]
         if not forces:
-            commands = controls if push is None else np.concatenate([controls, pushed], 2)
-            spec = int(COMMAND if push is None else COMMAND_AND_FORCE)
-            states, _ = rollout.rollout(
-                model, data, start, commands, control_spec=spec, nstep=steps, persistent_pool=len(data) > 1
-            )
-            return np.concatenate([start[:, None], states], 1)
+            return roll(model, data, start, controls, push)
         laws = LawsInWindows(model, self.model, effects, self.commands, windows)
         library = self._applied(model, effects)
+
+        def forces_at(states: np.ndarray, commands: np.ndarray) -> np.ndarray:
+            applied = np.zeros((n, model.nv + 6 * model.nbody))
+            library.add_to(applied, states)
+            applied[:, : model.nv] += laws.forces(states, commands)
+            return applied
+
         hold = LAW_HOLD if all(isinstance(e, SignalForce) for e in forces) else FORCE_HOLD
-        states, held = [start], max(1, int(hold / model.opt.timestep + 1e-6))
-        for k in range(0, steps, held):
-            commands, applied = controls[:, k : k + held], np.zeros((n, model.nv + 6 * model.nbody))
-            library.add_to(applied, states[-1])
-            applied[:, : model.nv] += laws.forces(states[-1], commands[:, 0])
-            after, _ = rollout.rollout(
-                model,
-                data,
-                states[-1],
-                np.concatenate([commands, pushed[:, k : k + held] + applied[:, None]], 2),
-                control_spec=int(COMMAND_AND_FORCE),
-                persistent_pool=len(data) > 1,
-            )
-            states += list(after.transpose(1, 0, 2))
-        return np.stack(states, 1)
+        constant = all(isinstance(e, ExternalForce) for e in forces)
+        held = None if constant else max(1, int(hold / model.opt.timestep + 1e-6))
+        return roll(model, data, start, controls, push, forces_at, held)
 
     def _applied(self, model: mujoco.MjModel, effects: Effects) -> AppliedForces:
         """Force laws of the library."""

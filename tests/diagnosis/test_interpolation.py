@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.prediction.interpolation import interpolate_states
-from idapt_pl.prediction.inverse_dynamics import STATE
+from idapt_pl.prediction.rolling import STATE
 
 XML = """<mujoco><option timestep="{}" gravity="0 0 -9.81" integrator="RK4"/><worldbody>
 <body name="free"><freejoint/><geom size="0.1 0.2 0.3" type="box" mass="1"/>
