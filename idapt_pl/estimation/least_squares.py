@@ -271,11 +271,19 @@ def _free_move(x: np.ndarray, g: np.ndarray, H: np.ndarray, box: ParameterBox) -
 def _twice_as_far(residual: Residual, before: _Point, after: _Point, box: ParameterBox) -> _Point:
     """Far from the minimum, go on in the same direction while more helps more.
 
-    Contacts make slopes steeper than what they lead to.
+    Contacts make slopes steeper than what they lead to. What a step did to the residuals tells, too, whether its double
+    is nearer to the least of them.
     """
-    while after.loss > FAR_OFF:
+    while after.loss > FAR_OFF and _best_length(before, after) > 1.5:
         further = _Point.at(residual, box.clip(2 * after.x - before.x))
         if further.loss > 0.99 * after.loss:
             break
         after = further
     return after
+
+
+def _best_length(before: _Point, after: _Point) -> float:
+    """How many times a step had best been taken, if residuals went on changing as they did."""
+    z, change = before.z.ravel(), (after.z - before.z).ravel()
+    weighted = huber_weights(after.z.ravel()) * change
+    return float(-(weighted @ z) / max(weighted @ change, 1e-300))
