@@ -29,7 +29,7 @@ PEAKS = 3
 class TorquePulse(ForceEffect):
     """A constant torque on a joint from one time to another, which differ from window to window.
 
-    No effect of a model: it measures how predictions answer torques. No two are equal.
+    No effect of a model: it measures how predictions answer torques.
 
     Attributes:
         torque: N·m.
@@ -41,7 +41,15 @@ class TorquePulse(ForceEffect):
     torque: float = 0.0
     begin: np.ndarray = field(default_factory=lambda: np.zeros(0))
     end: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    __eq__, __hash__ = object.__eq__, object.__hash__
+
+    def _key(self) -> tuple[str, float, bytes, bytes]:
+        return self.target, self.torque, self.begin.tobytes(), self.end.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TorquePulse) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray, time: np.ndarray) -> np.ndarray:
         return np.broadcast_to(self.at(time[:, None]), qpos.shape)

@@ -47,7 +47,7 @@ AS_GOOD_AS = 1.1
 IN_SIGHT = 1.5
 """Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
 SURE = 1.64
-"""Standard errors by which a rival of more parameters must be better, which chance brings about once in twenty times."""
+"""Standard errors by which a rival of more parameters must be better: by chance one in twenty is."""
 MANY_PARAMETERS = 3
 """An effect with so many bends to what others did: beside others it has to stand against all of them."""
 

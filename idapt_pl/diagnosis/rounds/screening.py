@@ -99,7 +99,7 @@ def starts_of(
     """Places to start a fit from: those of the candidate, or what the residual says of a torque that repeats."""
     if c.kind is not JointCogging or judges_forces(split):
         return c.starts
-    return periodic_starts(context.sim, split.windows, c, test.left, test.change_now)
+    return periodic_starts(context.sim, split.windows, c, test.left, test.change)
 
 
 def penalised_score(t: Trial) -> float:
