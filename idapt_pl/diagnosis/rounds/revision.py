@@ -46,7 +46,7 @@ AS_GOOD_AS = 1.1
 """Times the same that a rival in its place must be able to come to."""
 IN_SIGHT = 1.5
 """Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
-SURE = 1.64
+SURELY_BETTER = 1.64
 """Standard errors by which a rival of more parameters must be better: by chance one in twenty is."""
 MANY_PARAMETERS = 3
 """An effect with so many bends to what others did: beside others it has to stand against all of them."""
@@ -121,7 +121,7 @@ def swap_one(context: SearchContext, state: SearchState, place: int, rivals: Seq
         gain, error = paired_gain(now, after, state.windows.held_out.windows.episode)
         dearer = PARSIMONY * max(t.candidate.size - old.candidate.size, 0) * max(gain, 0.0)
         loss = float(after.mean()) + rarity(t.candidate) * max(gain, 0.0) + dearer
-        unsure = error * (SURE if t.candidate.size > old.candidate.size else 1.0)
+        unsure = error * (SURELY_BETTER if t.candidate.size > old.candidate.size else 1.0)
         asked = -0.02 * float(now.mean()) if simpler else max(unsure, 0.03 * float(now.mean()))
         if gain > asked and loss < (best_loss if best is not None or not simpler else np.inf):
             best, best_loss, best_x = t.candidate, loss, x
