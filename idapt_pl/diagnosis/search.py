@@ -12,6 +12,7 @@ import mujoco
 
 from datamodules import Trajectories
 from idapt_pl.diagnosis.answer.changes import changes_over_recordings, find_changes
+from idapt_pl.diagnosis.answer.detection_limits import detection_limits
 from idapt_pl.diagnosis.answer.laws import add_laws
 from idapt_pl.diagnosis.answer.result import DiagnosisResult, Verdict
 from idapt_pl.diagnosis.answer.summary import summarise_search
@@ -25,6 +26,7 @@ from idapt_pl.diagnosis.rounds.all_at_once import add_all_at_once
 from idapt_pl.diagnosis.rounds.look_ahead import add_two
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.other_beginnings import begin_otherwise
+from idapt_pl.diagnosis.rounds.replay import at_rest
 from idapt_pl.diagnosis.rounds.revision import (
     eliminate_needless,
     far_from_explained,
@@ -148,7 +150,9 @@ def judge(context: SearchContext, progress: Progression) -> Diagnosis:
         result = summarise_search(context, state, trials)
     elif context.settings.thorough:
         changes, state = find_changes(context, state)
-        result = replace(summarise_search(context, state, trials), changes=changes)
+        told = summarise_search(context, state, trials)
+        quiet = told.verdict is Verdict.INSUFFICIENT_EXCITATION  # what hardly moves answers to the noise of its starts
+        result = replace(told, changes=changes, limits=() if quiet else detection_limits(context, state))
     else:
         result = replace(summarise_search(context, state, trials), not_tried=NOT_TRIED_QUICKLY)
     held_out = state.windows.held_out.windows
@@ -173,7 +177,7 @@ def with_laws(found: Diagnosis, again: bool = False) -> Diagnosis:
         return with_laws(replace(judged, result=kept), again=True)
     seconds, known = time.perf_counter() - started, found.result
     state, result = add_laws(context, search, found.trials, known, seconds)
-    result = replace(result, changes=known.changes, splits=known.splits, runtime_s=known.runtime_s)
+    result = replace(result, changes=known.changes, splits=known.splits, limits=known.limits, runtime_s=known.runtime_s)
     held_out = state.windows.held_out.windows
     return replace(found, result=result, effects=state.effects, held_out=held_out, state=state)
 
@@ -187,6 +191,8 @@ REVISIONS = 3
 
 def run_search(context: SearchContext, state: SearchState) -> Progression:
     """Greedy forward search with pruning; every acceptance is decided on episodes nothing was fitted to."""
+    if at_rest(context, state):
+        return state, tuple(map(without_motion, screen_candidates(context, state, 0)))
     if not context.settings.thorough:
         begun = add_effects(context, (retest_numerics(context, state), ()))
         state, trials = by_forces_if_need_be(
@@ -377,6 +383,11 @@ def one_round(context: SearchContext, state: SearchState, round: int) -> tuple[S
     found, decided = accept(state, confirm(context, state, chosen))
     by_candidate = {t.candidate: t for t in decided}
     return found, [by_candidate.get(t.candidate) or not_refitted(t) for t in ranked]
+
+
+def without_motion(t: Trial) -> Trial:
+    """A trial on recordings in which nothing moves."""
+    return t if t.rejection else t.rejected(RejectionReason.NOT_EXCITED, "nothing moves in these recordings")
 
 
 def not_refitted(t: Trial) -> Trial:

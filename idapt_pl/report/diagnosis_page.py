@@ -19,6 +19,7 @@ from idapt_pl.report.diagnosis_wording import episode_list, error_rows, estimate
 from idapt_pl.report.explanation_section import as_number, explanation_section
 from idapt_pl.report.html import document, paragraph, row, section, table
 from idapt_pl.report.law_section import law_section
+from idapt_pl.report.limits_section import limits_section
 from idapt_pl.report.minute_section import minute_section
 from idapt_pl.report.next_steps import linked_name, next_steps_section
 from idapt_pl.report.plots import STYLE, svg
@@ -61,6 +62,7 @@ def diagnosis_page(
         split_section(result.splits),
         settings,
         next_steps_section(result.effects, result.next_experiment),
+        limits_section(result.limits),
         change_section(result.changes),
         law_section(result.laws),
         error_section(result),

@@ -22,6 +22,7 @@ from idapt_pl.effects.base import EFFECTS
 from idapt_pl.effects.learned import LearnedForce
 from idapt_pl.effects.wording import format_estimate, format_number, listing, phrase_at, unit_at
 from idapt_pl.report.law_section import law_size
+from idapt_pl.report.limits_section import limit_sentence
 
 HEADLINES = {
     Verdict.EFFECTS_FOUND: "Found what the model lacks",
@@ -133,14 +134,16 @@ def nothing_missing_sentences(result: DiagnosisResult, model: mujoco.MjModel) ->
         else ", but neither state nor commands predict the rest."
     )
     none = "none of the effects tried makes the predictions of episodes not used for fitting surely better."
+    limits = [told] if (told := limit_sentence(result.limits)) else []
     if not result.effects:
-        return [f"No missing effect: {none}", level + good]
+        return [f"No missing effect: {none}", level + good, *limits]
     numerics = "; ".join(effect_sentence(e, model) for e in result.effects)  # what no verdict counts as missing
     return [
         f"No missing effect, but these recordings ask for other numerics: {numerics}.",
         gain_sentence(result),
         f"Beyond that {none}",
         level + good,
+        *limits,
     ]
 
 

@@ -15,6 +15,7 @@ from idapt_pl.effects.base import Effect
 
 if TYPE_CHECKING:
     from idapt_pl.diagnosis.answer.changes import ChangeReport
+    from idapt_pl.diagnosis.answer.detection_limits import DetectionLimit
     from idapt_pl.diagnosis.answer.law_result import LawReport
     from idapt_pl.diagnosis.answer.split_report import SplitReport
 
@@ -300,6 +301,7 @@ class DiagnosisResult:
         not_named: effects that are not probable enough for it.
         splits: how often each effect is chosen as other episodes are held out; None where that was not asked for.
         mending: the command that takes out deployment faults which were left in the recordings; empty where none were.
+        limits: how small a change of usual effects that were not found would have been seen; empty where not computed.
     """
 
     SCHEMA: ClassVar[str] = "idapt.diagnosis/1"
@@ -321,6 +323,7 @@ class DiagnosisResult:
     not_named: Sequence[EffectEstimate] = ()
     splits: SplitReport | None = None
     mending: str = ""
+    limits: Sequence[DetectionLimit] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``report.json``."""
@@ -337,6 +340,7 @@ class DiagnosisResult:
             "explanations": [e.to_dict() for e in self.explanations],
             "measurement": None if self.measurement is None else self.measurement.to_dict(),
             **({"not_tried": list(self.not_tried)} if self.not_tried else {}),
+            **({"detection_limits": [x.to_dict() for x in self.limits]} if self.limits else {}),
             **self._rate(),
             **{name: r.to_dict() for name in ("laws", "changes", "splits") if (r := getattr(self, name)) is not None},
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from idapt_pl.diagnosis.answer.result import Verdict
-from idapt_pl.diagnosis.rounds.replay import motion
+from idapt_pl.diagnosis.rounds.replay import at_rest, motion
 from idapt_pl.diagnosis.rounds.screening import ScoreTest
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState
@@ -58,6 +58,8 @@ def too_quiet(context: SearchContext, state: SearchState) -> bool:
 
     Free bodies move alike whatever their mass: where none is driven, whether they move at all.
     """
+    if at_rest(context, state):
+        return True
     if not context.sim.model.nu:
         windows, noise = state.windows.screen.windows, state.windows.noise.sensors
         moved = np.sqrt(np.square(motion(context, windows)).mean((0, 1)))

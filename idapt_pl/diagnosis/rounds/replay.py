@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from idapt_pl.diagnosis.rounds.gates import LEFT_OVER
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import SearchState
 from idapt_pl.prediction.data import Windows, sample_windows
@@ -12,6 +13,8 @@ TIMES_LONGER = 5
 """How much longer these stretches are than windows, where episodes are long enough."""
 REPLAYED_STRETCHES = 60
 """Of held-out episodes that are replayed, at most."""
+REST = 2.0
+"""Standard deviations of its noise that a channel at rest seems to move; noise alone comes to the root of two."""
 
 
 def long_windows(context: SearchContext) -> Windows:
@@ -37,6 +40,17 @@ def motion(context: SearchContext, windows: Windows) -> np.ndarray:
     """How far channels are from where they were when a stretch began, (n, j, channels)."""
     (q0, v0), (q, v) = (context.sim.measured(windows, offsets) for offsets in (np.zeros(1, int), windows.offsets))
     return context.sim.difference((q, v), (np.repeat(q0, q.shape[1], 1), np.repeat(v0, v.shape[1], 1)))
+
+
+def at_rest(context: SearchContext, state: SearchState) -> bool:
+    """Whether nothing moves in held-out windows beyond the noise of its sensor, and the model has nothing move either.
+
+    What is predicted then is noise of the measured first states, and whatever damps it predicts better.
+    """
+    split, noise = state.windows.held_out, state.windows.noise.sensors
+    moved = np.sqrt(np.square(motion(context, split.windows)).mean((0, 1)))
+    still = (moved < REST * noise)[context.sim.compared].all()
+    return bool(still) and float(context.loss(split, state.effects).mean()) < LEFT_OVER
 
 
 def worse_replays(context: SearchContext, with_it: SearchState, without: SearchState) -> bool:
