@@ -25,6 +25,10 @@ What a found effect's law or the integration gets wrong by a per cent looks like
 """
 LEFT_OVER = 1.6
 """Mean held-out loss (1 is noise) from which much is left: a change or a law is looked for, and small effects count."""
+AT_THE_FLOOR = 1.05
+"""The same below which nothing is left that another effect, or a rival, explains better, unless it surely does."""
+SURELY_BETTER = 1.64
+"""Standard errors by which it, or a rival of more parameters, must be better, as one in twenty is by chance."""
 CLEAR_GAIN = 0.25
 """Share of the held-out error that is much: what removes it is needed, whatever longer replays say."""
 
@@ -61,8 +65,14 @@ def within_sensors(j: Judged) -> Rejection | None:
 
 
 def sure_gain(j: Judged) -> Rejection | None:
-    """The gain's lower bound is above zero, by the spread between episodes."""
-    if j.gain - j.settings.sureness * j.gain_error > 0:
+    """The gain's lower bound is above zero, by the spread between episodes.
+
+    Where nothing much is left, the best of many further ones is easily better by chance.
+    """
+    asked = j.settings.sureness
+    if asked and j.further and j.level < AT_THE_FLOOR:
+        asked = max(asked, SURELY_BETTER)
+    if j.gain - asked * j.gain_error > 0:
         return None
     text = f"held-out gain {j.gain:.3g} ± {j.gain_error:.2g} is not surely positive"
     return Rejection(RejectionReason.UNSURE_GAIN, text)

@@ -12,7 +12,15 @@ from idapt_pl.diagnosis.candidates.fit import effects_of
 from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS, PARSIMONY, rough_fits
 from idapt_pl.diagnosis.rounds.both_ways import gain_on_all
-from idapt_pl.diagnosis.rounds.gates import CLEAR_GAIN, Judged, beyond_its_kind, earns_its_place, why_implausible
+from idapt_pl.diagnosis.rounds.gates import (
+    AT_THE_FLOOR,
+    CLEAR_GAIN,
+    SURELY_BETTER,
+    Judged,
+    beyond_its_kind,
+    earns_its_place,
+    why_implausible,
+)
 from idapt_pl.diagnosis.rounds.measurement import measure_intervals
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.replay import worse_replays
@@ -36,8 +44,6 @@ from idapt_pl.prediction.force_windows import judges_forces
 log = logging.getLogger(__name__)
 SWAP_PASSES = 2
 """How often all found effects are gone through, while much is unexplained and rivals go on taking places."""
-AT_THE_FLOOR = 1.05
-"""Mean held-out loss below which nothing is left that a rival could explain better."""
 PLACES_SCREENED = 4
 """So many of the first effects stand against all others while much is unexplained: each takes a round's time."""
 FAR_WORSE = 1.5
@@ -46,8 +52,6 @@ AS_GOOD_AS = 1.1
 """Times the same that a rival in its place must be able to come to."""
 IN_SIGHT = 1.5
 """Of the loss with an effect, what a rival may leave after a rough fit, to be fitted properly in its place."""
-SURELY_BETTER = 1.64
-"""Standard errors by which a rival of more parameters must be better: by chance one in twenty is."""
 MANY_PARAMETERS = 3
 """An effect with so many bends to what others did: beside others it has to stand against all of them."""
 
