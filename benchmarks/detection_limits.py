@@ -16,6 +16,7 @@ import itertools
 import sys
 import tempfile
 import time
+import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,7 +33,7 @@ from benchmarks.undeclared import hidden
 from benchmarks.undeclared.cases import SAME, Case
 from benchmarks.undeclared.generate import generate
 from benchmarks.undeclared.hidden import Part
-from benchmarks.undeclared.models import MODELS
+from benchmarks.undeclared.models import MODELS, nominal_xml
 from cli.provenance import git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.answer.detection_limits import DetectionLimit
@@ -53,6 +54,8 @@ HIDE: dict[str, Callable[[str, float], Part]] = {
     "actuator_kp": hidden.servo_stiffness,
 }
 """How what a report has limits of is hidden, by writing MJCF."""
+SCALED = {"actuator_gain": "gear", "actuator_kp": "kp"}
+"""Attributes of actuators that are scaled; not all have them."""
 
 
 def diagnosis_of(model: str, parts: Sequence[Part], seed: int) -> Diagnosis:
@@ -68,9 +71,10 @@ def diagnosis_of(model: str, parts: Sequence[Part], seed: int) -> Diagnosis:
 
 def drawn_limits(model: str, limits: Sequence[DetectionLimit], count: int, seed: int) -> list[DetectionLimit]:
     """Some of the limits that the MJCF of a model can be changed by."""
-    servos = any(a.trntype and a.biastype for a in mujoco.MjSpec.from_string(MODELS[model].build()).actuators)
+    motors = ET.fromstring(nominal_xml(model)).find("actuator")
+    written = {(effect, m.get("name")) for m in motors for effect, name in SCALED.items() if m.get(name)}
     of = [x for x in limits if x.effect in HIDE and np.isfinite(x.change)]
-    of = [x for x in of if x.effect != ("actuator_gain" if servos else "actuator_kp")]
+    of = [x for x in of if x.effect not in SCALED or (x.effect, x.target) in written]
     rng = np.random.default_rng([seed, zlib.crc32(model.encode())])
     return [of[i] for i in rng.permutation(len(of))[:count]]
 

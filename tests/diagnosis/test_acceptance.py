@@ -121,6 +121,15 @@ def test_what_is_asked_when_an_effect_is_added_is_asked_again_later(gain, error,
     assert (objection(judged(t, 4.0, further=True)) is None) is earned
 
 
+@pytest.mark.parametrize(("level", "further", "earned"), [(1.0, True, False), (2.0, True, True), (1.0, False, True)])
+def test_where_nothing_is_left_a_further_effect_must_surely_help(level, further, earned):
+    """1.4 standard errors: of many candidates one may have that by chance."""
+    t = Trial(**{**vars(trial(DAMPING, 1.0)), "gain": 0.07, "gain_error": 0.05})
+    refused = objection(judged(t, level, further))
+    assert (refused is None) is earned
+    assert earned or refused.reason is RejectionReason.UNSURE_GAIN
+
+
 def test_a_sensor_at_the_end_of_what_sensors_are_off_by_stands_in_for_something_else():
     at_end = Trial(GAIN, 0, 100.0, (np.array([1.25]),), 1.0, np.ones(N), 3.0, 0.1)
     assert objection(judged(at_end, 4.0, further=at_end.round > 0)).reason is RejectionReason.BEYOND_SENSORS

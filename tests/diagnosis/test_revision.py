@@ -130,6 +130,17 @@ def test_more_parameters_have_to_be_worth_it(monkeypatch):
     assert swap_one(search, state, 0, [trial]) is state
 
 
+@pytest.mark.parametrize(("size", "error", "swapped"), [(1, 0.14, True), (2, 0.14, False), (2, 0.1, True)])
+def test_a_rival_of_more_parameters_must_surely_be_better(size, error, swapped, monkeypatch):
+    """A gain of 0.2 is 1.4 standard errors, or 2."""
+    monkeypatch.setattr(revision, "renew", lambda context, state: state)
+    monkeypatch.setattr(revision, "paired_gain", lambda now, after, episode: (float((now - after).mean()), error))
+    rival = Candidate(JointArmature, "a", ("armature",) * size, (0.0,) * size, (0.1,) * size)
+    state, trial = accepted(A, B), Trial(rival, 0, 10.0, (np.full(size, 0.2),), gain=1.0)
+    search = context(lambda found: 1.8 if ("joint_armature", "a") in found else 2.0)
+    assert (names(swap_one(search, state, 0, [trial]))[0] == "joint_armature(a)") is swapped
+
+
 def test_what_makes_longer_replays_worse_is_left_out(monkeypatch):
     b_makes_worse = lambda context, with_it, without: "joint_damping(b)" not in names(without)  # noqa: E731
     monkeypatch.setattr(revision, "worse_replays", b_makes_worse)
