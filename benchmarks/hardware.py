@@ -4,8 +4,8 @@
 
 FOLDER holds double_pendulum/, xl330_pendulum/ and so101_arm/, each with nominal.xml and measured.h5 (published
 recordings; docs/reference/hardware.md names the sources). They are not part of this repository. Writes
-results/hardware.csv, one row a rig and channel: root-mean-square prediction error on held-out episodes before and
-after, and what was found.
+results/hardware.csv, one row a rig, channel and processor: root-mean-square prediction error on held-out episodes
+before and after, and what was found.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import h5py
 from tables import read_rows, write_rows
 
-from cli.provenance import git_commit
+from cli.provenance import cpu_model, git_commit
 from datamodules import read_trajectories
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.prediction.model import read_model
@@ -31,7 +31,7 @@ from idapt_pl.report.diagnosis_files import write_diagnosis
 
 FIELDS = (
     "rig", "channel", "unit", "before", "after", "ratio", "verdict", "found", "horizon_s", "held_out", "seconds",
-    "commit",
+    "commit", "cpu",
 )  # fmt: skip
 
 
@@ -87,7 +87,7 @@ def run(folder: Path, name: str, report_to: Path | None) -> list[dict]:
             "rig": name, "channel": channel, "unit": v["unit"], "before": v["before"], "after": v["after"],
             "ratio": round(v["before"] / v["after"], 2), "verdict": out.report["verdict"], "found": " + ".join(found),
             "horizon_s": error["horizon_s"], "held_out": " ".join(rig.held_out), "seconds": round(seconds, 1),
-            "commit": git_commit(),
+            "commit": git_commit(), "cpu": cpu_model(),
         }
         for channel, v in error["per_channel"].items()
     ]  # fmt: skip
@@ -104,12 +104,12 @@ def main() -> None:
     if not o.folder.is_dir():
         print(f"{o.folder} is not there: nothing to do")
         return
-    kept = [r for r in read_rows(o.out) if r["rig"] not in o.rigs]
+    kept = [r for r in read_rows(o.out) if r["rig"] not in o.rigs or r["cpu"] != cpu_model()]
     for name in o.rigs:
         kept += run(o.folder, name, o.report)
         write_rows(o.out, kept, FIELDS)
         for r in kept:
-            if r["rig"] == name:
+            if (r["rig"], r["cpu"]) == (name, cpu_model()):
                 print({k: r[k] for k in FIELDS[:8]}, r["seconds"], "s", flush=True)
 
 
