@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from idapt_pl.estimation.least_squares import LeastSquaresFit, huber_weights
 
@@ -52,6 +54,18 @@ def unknown_variance(fit: LeastSquaresFit, changes: Sequence[np.ndarray]) -> np.
     """
     bread, weighted = influence(fit)
     return sum((np.square(bread @ (weighted.T @ c.ravel())) for c in changes), np.zeros(len(bread)))
+
+
+def half_widths(fit: LeastSquaresFit, clusters: np.ndarray) -> np.ndarray:
+    """Half of the 95 % intervals of x / scale, (p,): the wider ones of the sandwich and of noise of unit variance.
+
+    With few clusters the sandwich is often too small by chance, hence the wider of the two (Angrist & Pischke 2009,
+    section 8.2). Arguments as of :func:`covariance`.
+    """
+    sandwich, by_noise = covariance(fit, clusters), influence(fit)[0]
+    quantile = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2))
+    one, other = (np.sqrt(np.maximum(np.diag(V), 0)) for V in (sandwich, by_noise))
+    return np.maximum(quantile * one, norm.ppf(0.975) * other)
 
 
 def covariance(fit: LeastSquaresFit, clusters: np.ndarray) -> np.ndarray:

@@ -8,14 +8,13 @@ from itertools import combinations
 
 import numpy as np
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from idapt_pl.diagnosis.answer.result import ParameterEstimate
 from idapt_pl.diagnosis.answer.summary import parameter_estimates
 from idapt_pl.diagnosis.candidates.fit import effects_of, split_parameters
 from idapt_pl.diagnosis.rounds.measurement import with_interval
 from idapt_pl.diagnosis.search import Diagnosis
-from idapt_pl.estimation.intervals import clusters_of, covariance
+from idapt_pl.estimation.intervals import clusters_of, half_widths
 from idapt_pl.prediction.data import Windows, sample_windows
 from idapt_pl.prediction.force_windows import judged_by_forces
 from idapt_pl.prediction.whitening import WhitenedWindows, initial_sensitivity, whitener
@@ -88,9 +87,7 @@ def fit_to_set(diagnosis: Diagnosis, recordings: RecordingSet) -> OwnFit:
     fit = context.fit(split, state.fixed, state.candidates, state.estimates, 8, exact=True)
     own = error((*state.fixed, *effects_of(state.candidates, fit.x)))
     clusters = clusters_of(split.windows.episode, split.windows.start)
-    V = covariance(fit.solution, clusters)
-    scale = np.concatenate([c.scale for c in state.candidates])
-    half = student.ppf(0.975, max(len(np.unique(clusters)) - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0)) * scale
+    half = half_widths(fit.solution, clusters) * np.concatenate([c.scale for c in state.candidates])
     halves = split_parameters(state.candidates, half)
     timestep, values = sim.compile(state.fixed).opt.timestep, dict[SetValue, ParameterEstimate]()
     for a, h in zip(state.with_estimates(fit.x).accepted, halves, strict=True):

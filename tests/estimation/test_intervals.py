@@ -8,6 +8,7 @@ from idapt_pl.estimation.intervals import (
     clusters_of,
     covariance,
     deviations_from,
+    half_widths,
     paired_gain,
     unknown_variance,
     unseen,
@@ -81,6 +82,22 @@ def test_intervals_cover_the_truth_however_few_episodes_there_are(episodes):
         V = covariance(LeastSquaresFit(x, 1.0, J, (noise - J @ x).reshape(n, 4)), clusters)
         covered += abs(x[0]) < quantile * np.sqrt(V[0, 0])
     assert 0.91 < covered / 400 < 0.99
+
+
+def test_with_few_clusters_and_several_parameters_the_wider_interval_covers():
+    """Seven episodes, four parameters, independent noise: the sandwich alone is often too small by chance."""
+    rng, n, p = np.random.default_rng(0), 70, 4
+    clusters, wider, sandwich = np.repeat(np.arange(7), n // 7), [], []
+    for _ in range(300):
+        J, noise = rng.normal(size=(2 * n, p)), rng.normal(size=2 * n)
+        x = np.linalg.lstsq(J, noise, rcond=None)[0]  # the truth is 0
+        fit = LeastSquaresFit(x, 1.0, J, (noise - J @ x).reshape(n, 2))
+        half = half_widths(fit, clusters)
+        alone = student.ppf(0.975, 6) * np.sqrt(np.diag(covariance(fit, clusters)))
+        assert (half >= alone).all() and (half >= 1.95 * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))).all()
+        wider.append(np.abs(x) < half), sandwich.append(np.abs(x) < alone)
+    assert np.mean(wider) > 0.95
+    assert np.mean(wider) > np.mean(sandwich) + 0.01
 
 
 def test_what_residuals_do_not_show_is_not_known_at_all():

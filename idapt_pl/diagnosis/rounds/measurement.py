@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from idapt_pl.diagnosis.candidates.fit import split_parameters
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
-from idapt_pl.estimation.intervals import covariance, unknown_variance, unseen
+from idapt_pl.estimation.intervals import half_widths, unknown_variance, unseen
 
 HALVINGS = 8
 """Of the way to nominal, until the end of an open interval is known to a part in 250."""
@@ -26,8 +25,7 @@ def measure_intervals(context: SearchContext, state: SearchState) -> SearchState
     windows = state.windows.fit
     fit = context.fit(windows, state.fixed, state.candidates, state.estimates, 8, exact=True)
     state = state.with_estimates(fit.x)
-    V, clusters = covariance(fit.solution, windows.clusters), len(np.unique(windows.clusters))
-    by_chance = student.ppf(0.975, max(clusters - 1, 2)) * np.sqrt(np.maximum(np.diag(V), 0))
+    by_chance = half_widths(fit.solution, windows.clusters)
     unknown = unknown_variance(fit.solution, systematic_changes(context, state))
     width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown))
     width[unseen(fit.solution.J.T @ fit.solution.J)] = np.inf
