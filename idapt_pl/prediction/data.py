@@ -93,7 +93,8 @@ class Windows:
 def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = True) -> tuple[list[Recording], bool]:
     """Episodes as recordings, and whether velocities were measured (else they are slopes of the positions).
 
-    Velocities that come late, as from filters or slow registers, count as not measured (unless not ``may_lag``).
+    Velocities that come late, as from filters or slow registers, count as not measured (unless not ``may_lag``). Those
+    of another simulation come half a time step late, and so do the model's.
 
     Takes ``qpos`` and ``qvel``, or a ``state`` that is the two of them one after the other.
 
@@ -122,7 +123,8 @@ def as_recordings(model: mujoco.MjModel, data: Trajectories, may_lag: bool = Tru
         return with_impacts(model, sloped), False
     shown = [replace(r, qvel=np.asarray(qvel, float)) for r, (_, qvel) in zip(sloped, measured, strict=True)]
     late = lateness(shown, sloped) if may_lag else 0.0
-    if late > LATEST_VELOCITIES * np.median(np.concatenate([np.diff(r.time) for r in shown])):
+    own = model.opt.timestep / 2  # semi-implicit Euler's velocity is the mean one of the step before
+    if late - own > LATEST_VELOCITIES * np.median(np.concatenate([np.diff(r.time) for r in shown])):
         log.warning("measured velocities lag the positions by %.3g s: slopes of the positions are used instead", late)
         return with_impacts(model, sloped), False
     return with_impacts(model, shown), True

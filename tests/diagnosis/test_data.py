@@ -46,3 +46,14 @@ def test_velocities_that_come_late_are_not_used():
     model = mujoco.MjModel.from_xml_string(ARM)
     assert as_recordings(model, prompt)[1], "prompt velocities are used"
     assert not as_recordings(model, Trajectories(tuple(late), DT))[1]
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_velocities_of_a_simulation_with_steps_as_long_as_its_control_steps_are_used(late):
+    """Semi-implicit Euler's velocity is the mean one of the step before: half a control period late, as the model's."""
+    coarse = ARM.replace('timestep="0.004"', f'timestep="{DT}"')
+    told = record(coarse, noise=(1e-5, 1e-4), skip=1)
+    rows = [*[0] * late, *range(81 - late)]
+    shifted = [Episode(e.actions, {**e.observations, "qvel": e.observations["qvel"][rows]}) for e in told.episodes]
+    model = mujoco.MjModel.from_xml_string(coarse)
+    assert as_recordings(model, Trajectories(tuple(shifted), DT))[1] is not bool(late)
