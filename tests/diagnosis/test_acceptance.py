@@ -1,5 +1,6 @@
 """Which of the refitted candidates is accepted, and what is said of the others."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -9,6 +10,7 @@ from arm import ARM, record
 
 from idapt_pl.diagnosis.candidates.trial import RejectionReason, Trial
 from idapt_pl.diagnosis.prepare import begin_search
+from idapt_pl.diagnosis.rounds import acceptance
 from idapt_pl.diagnosis.rounds.acceptance import accept, rough_fits
 from idapt_pl.diagnosis.rounds.gates import (
     GATES,
@@ -187,3 +189,19 @@ def test_fits_that_would_not_come_to_what_is_asked_for_are_left_and_the_others_a
     assert np.array_equal(same.x[0], whole.x[0]) and same.rough_loss == whole.rough_loss
     assert np.array_equal(left.x[0], wrong.x[0]) and left.rough_loss > 1.2, "not a step was taken"
     assert fewer < simulations
+
+
+@pytest.mark.parametrize(("wide", "simplest_first"), [(0.99999, True), (0.9, False)])
+def test_of_rough_fits_that_do_the_same_the_simplest_comes_first(wide, simplest_first, monkeypatch):
+    """Ten parameters leave a little less than one by chance."""
+    context, state = begin_search(mujoco.MjSpec.from_string(ARM), record(episodes=4), threads=1)
+    leaves = {"body_mass(lower)": 1.0, "body_inertia(lower)": wide}
+
+    def fitted(residual, state, t, steps, slopes, good_enough):
+        return replace(t, rough_loss=leaves[t.candidate.label]), slopes
+
+    monkeypatch.setattr(acceptance, "rough_fit", fitted)
+    tried = [Trial(c, 0, 100.0, (np.array(c.nominal),)) for c in context.candidates if c.label in leaves]
+    for order in (tried, tried[::-1]):
+        first = rough_fits(context, state, order)[0].candidate.label
+        assert first == ("body_mass(lower)" if simplest_first else "body_inertia(lower)")

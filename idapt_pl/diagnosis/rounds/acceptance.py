@@ -33,7 +33,7 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
     """Refit candidates, the best of them without shortcuts, and see what these are worth on held-out episodes.
 
     Returns:
-        Their trials, by what they leave on few windows, the least first; most of them rejected.
+        Their trials, by what they leave on few windows and their parameters, the least first; most of them rejected.
     """
     rough = rough_fits(context, state, chosen)
     slopes = slopes_of_accepted(context, state, state.windows.screen)
@@ -47,7 +47,7 @@ def confirm(context: SearchContext, state: SearchState, chosen: Sequence[Trial])
         text = f"refitted, it leaves {t.rough_loss:.3g}; {rough[0].candidate.label} leaves {best:.3g}"
         return t.rejected(RejectionReason.POOR_FIT, text)
 
-    return [*confirmed, *(left(t) for t in rough[len(near) :])]
+    return [*confirmed, *(left(t) for t in rough if t not in near)]
 
 
 def rough_fits(
@@ -55,6 +55,7 @@ def rough_fits(
 ) -> list[Trial]:
     """Refit candidates, with all accepted effects free, on few windows, best first.
 
+    What every parameter gains by chance does not count (Akaike 1974): of those that do the same the simplest are first.
     After some steps those that are far behind are left as they are, and so are those that would not come to a mean
     loss of ``good_enough``.
     """
@@ -73,7 +74,8 @@ def rough_fits(
         t, J = t_and_slopes
         return rough_fit(residual, state, t, STEPS - FIRST_STEPS, J, good_enough)[0] if t.rough_loss <= near else t
 
-    return sorted(each(go_on, begun), key=lambda t: t.rough_loss)
+    by_chance = 2 / len(slopes)  # of the loss, by each parameter
+    return sorted(each(go_on, begun), key=lambda t: t.rough_loss * (1 + by_chance * t.candidate.size))
 
 
 def rough_fit(
