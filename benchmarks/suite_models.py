@@ -32,6 +32,7 @@ from cli.provenance import git_commit
 from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.search import diagnose
 from idapt_pl.effects.compile_time import write_out_masses
+from idapt_pl.effects.driven import joints_of_actuators
 from idapt_pl.prediction.model import name_elements, read_model
 from idapt_pl.tasks.dm_control_task import load_from_suite
 
@@ -72,15 +73,26 @@ def hide(model: mujoco.MjModel, what: str, rng: np.random.Generator) -> tuple[st
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return "body_mass", model.body(b).name, float(model.body_mass[b])
     if what == "damping":
-        j = rng.choice([j for j in range(model.njnt) if model.jnt_type[j] in SCALAR])
+        j = rng.choice(bearings(model))
         v = model.jnt_dofadr[j]
         model.dof_damping[v] += max(1.5 * model.dof_damping[v], 3 * model.dof_M0[v])
         return "joint_damping", model.joint(j).name, float(model.dof_damping[v])
     if what == "gain":
         a = rng.integers(model.nu)
+        if model.actuator_biastype[a] == int(mujoco.mjtBias.mjBIAS_AFFINE):  # a servo
+            model.actuator_gainprm[a] *= 0.75
+            model.actuator_biasprm[a] *= 0.75
+            return "actuator_kp", model.actuator(a).name, 0.75
         model.actuator_gear[a] *= 0.75
         return "actuator_gain", model.actuator(a).name, 0.75
     return "", "", 0.0
+
+
+def bearings(model: mujoco.MjModel) -> list[int]:
+    """Hinges and slides that have a motor, or are alone on their body: no coordinates of a floating base."""
+    driven = joints_of_actuators(model)
+    scalar = [j for j in range(model.njnt) if model.jnt_type[j] in SCALAR]
+    return [j for j in scalar if j in driven or model.body_jntnum[model.jnt_bodyid[j]] == 1]
 
 
 def record(model: mujoco.MjModel, period: float, rng: np.random.Generator) -> Trajectories:
