@@ -41,6 +41,10 @@ BENEFIT_OF_THE_DOUBT = 3.0
 """How many times what the slopes promise a fit may still gain, for all that is known, when it is about to be left."""
 
 
+OUT_OF_LINE = 10.0
+"""Times the slope of nine of ten windows that one window's may be, at most, where slopes say which way to go."""
+
+
 def one_by_one(residual: Residual, places: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Residuals at several places, one after the other."""
     return [residual(x) for x in places]
@@ -181,19 +185,33 @@ def gauss_newton(
         fresh = (gain < FADING or kept < KEPT_PROMISE) and k + 1 < iterations
         if fresh:
             J = _slopes(residual, now, box, cheaper, everywhere)
-    if exact and not fresh:
+    if exact:
         J = jacobian(residual, now.x, now.z, box, everywhere=everywhere)
     return LeastSquaresFit(now.x, now.loss, J, now.z)
+
+
+def in_line(J: np.ndarray, windows: int) -> np.ndarray:
+    """Slopes, (rows, p), in which no window is far out of line: there a foot leaves the ground, or stays, by a hair.
+
+    Nothing is changed where nine of ten windows do not depend on a parameter.
+    """
+    each = J.reshape(windows, -1, J.shape[1])
+    size = np.sqrt(np.square(each).sum(1))
+    most = OUT_OF_LINE * np.quantile(size, 0.9, axis=0)
+    share = np.where((size > most) & (most > 0), most / np.maximum(size, 1e-300), 1.0)
+    return J if (share == 1.0).all() else (each * share[:, None]).reshape(J.shape)
 
 
 def _slopes(
     residual: Residual, now: _Point, box: ParameterBox, cheaper: Residual | None, everywhere: Everywhere,
     known: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Slopes at a point, (n rows, p), by the cheaper residuals where there are such."""
+    """Slopes at a point, (n rows, p), by the cheaper residuals where there are such; none out of line."""
     if cheaper is None:
-        return jacobian(residual, now.x, now.z, box, known, everywhere)
-    return jacobian(cheaper, now.x, cheaper(now.x), box, known, everywhere)
+        J = jacobian(residual, now.x, now.z, box, known, everywhere)
+    else:
+        J = jacobian(cheaper, now.x, cheaper(now.x), box, known, everywhere)
+    return in_line(J, len(now.z))
 
 
 def _hopeless(now: _Point, J: np.ndarray, box: ParameterBox, good_enough: float) -> bool:

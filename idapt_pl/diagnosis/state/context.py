@@ -14,7 +14,7 @@ from idapt_pl.diagnosis.candidates.responses import Responses
 from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.world import Numerics
-from idapt_pl.estimation.least_squares import robust_loss
+from idapt_pl.estimation.least_squares import in_line, robust_loss
 from idapt_pl.prediction.data import Windows
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.noise import Noise
@@ -166,13 +166,19 @@ class SearchContext:
     def about(self, split: WhitenedWindows, effects: Effects) -> Callable[[Effects], np.ndarray]:
         """What other effects leave, whitened, about: where a coarser time step will do.
 
-        Then what they change is simulated with that, and what ``effects`` leave without.
+        Then what they change is simulated with that, and what ``effects`` leave without. No window changes far more
+        than others: with another step a foot may leave the ground where it stays.
         """
         step = self.coarse_step(split, effects)
         if self.with_coarse_numerics(effects, step) is effects:
             return lambda e: self.whitened(split, e)
         now, coarse = (self.whitened(split, e) for e in (effects, self.with_coarse_numerics(effects, step)))
-        return lambda e: now + self.whitened(split, self.with_coarse_numerics(e, step)) - coarse
+
+        def changed(e: Effects) -> np.ndarray:
+            change = self.whitened(split, self.with_coarse_numerics(e, step)) - coarse
+            return in_line(change.reshape(-1, 1), len(now)).reshape(now.shape)
+
+        return lambda e: now + changed(e)
 
     def coarse_step(self, split: WhitenedWindows, effects: Effects) -> float:
         """Time step [s] that will do for what others change in predictions, at least the model's own.
