@@ -190,7 +190,7 @@ def gauss_newton(
     return LeastSquaresFit(now.x, now.loss, J, now.z)
 
 
-def in_line(J: np.ndarray, windows: int) -> np.ndarray:
+def kept_in_line(J: np.ndarray, windows: int) -> np.ndarray:
     """Slopes, (rows, p), in which no window is far out of line: there a foot leaves the ground, or stays, by a hair.
 
     Nothing is changed where nine of ten windows do not depend on a parameter.
@@ -211,7 +211,7 @@ def _slopes(
         J = jacobian(residual, now.x, now.z, box, known, everywhere)
     else:
         J = jacobian(cheaper, now.x, cheaper(now.x), box, known, everywhere)
-    return in_line(J, len(now.z))
+    return kept_in_line(J, len(now.z))
 
 
 def _hopeless(now: _Point, J: np.ndarray, box: ParameterBox, good_enough: float) -> bool:

@@ -12,6 +12,7 @@ from idapt_pl.estimation.least_squares import (
     huber,
     huber_weights,
     jacobian,
+    kept_in_line,
     normal_equations,
     project_out,
     robust_loss,
@@ -200,3 +201,34 @@ def test_what_is_projected_out_leaves_nothing_of_the_basis():
     alone = project_out(np.linalg.qr(nuisance[0])[0], v[0])
     assert alone == pytest.approx(rest[0]), "the same with and without a batch"
     assert project_out(np.zeros((10, 0)), v[0]) == pytest.approx(v[0]), "nothing to project out"
+
+
+def test_no_window_is_far_out_of_line_and_all_others_stay_as_they_are():
+    J = np.random.default_rng(0).normal(size=(30, 4, 2))
+    J[3, :, 0] *= 200
+    kept = kept_in_line(J.reshape(120, 2), 30).reshape(J.shape)
+    size = np.linalg.norm(J, axis=1)
+    others = np.arange(30) != 3
+    assert np.array_equal(kept[others], J[others]) and np.array_equal(kept[:, :, 1], J[:, :, 1])
+    assert np.linalg.norm(kept[3, :, 0]) == pytest.approx(10 * np.quantile(size[:, 0], 0.9))
+    assert np.allclose(kept[3, :, 0] / J[3, :, 0], (kept[3, :, 0] / J[3, :, 0])[0]), "its direction is as it was"
+
+
+def test_what_few_windows_show_at_all_is_kept():
+    J = np.zeros((120, 1))
+    J[:4] = 50.0  # an end stop that one of thirty windows meets
+    assert kept_in_line(J, 30) is J
+
+
+def test_a_window_that_jumps_with_the_parameter_does_not_stop_a_fit():
+    """29 windows are right at 1; in the last a foot leaves the ground as soon as the parameter moves."""
+    rng, slopes = np.random.default_rng(0), np.random.default_rng(1).normal(size=(30, 40))
+    noise = rng.normal(size=(30, 40))
+
+    def residual(x):
+        z = noise + 2 * slopes * (1 - x[0])
+        z[-1] = noise[-1] + np.clip(300 * x[0], -6, 6) * np.sign(slopes[-1])
+        return z
+
+    fit = gauss_newton(residual, np.array([0.0]), ParameterBox(np.array([0.1]), np.array([-2.0]), np.array([2.0])))
+    assert fit.x[0] == pytest.approx(1.0, abs=0.1)

@@ -18,7 +18,7 @@ from idapt_pl.effects.base import Effect
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointCogging
 from idapt_pl.effects.wording import format_number
-from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, in_line, project_out
+from idapt_pl.estimation.least_squares import ParameterBox, huber_weights, kept_in_line, project_out
 from idapt_pl.prediction.force_windows import NO_SAY, judges_forces
 from idapt_pl.prediction.simulator import Effects
 from idapt_pl.prediction.whitening import WhitenedWindows, whiten
@@ -214,14 +214,14 @@ class ScoreTest:
     def score(self, c: Candidate, starts: Sequence[np.ndarray | tuple[float, ...]], round: int) -> Trial:
         """The better of a linear step from where it changes nothing, and of given places to start a fit from."""
         begin, change = self.standing(c)
-        D = self.clear(in_line(self.derivative(c, begin, at_x=change), len(self.split.windows)))
+        D = self.clear(kept_in_line(self.derivative(c, begin, at_x=change), len(self.split.windows)))
         left = self.left if change is None else self.left + self.clear(change.reshape(-1, 1))[:, 0]
         x, gain = linear_step(D, left, begin, parameter_box([c]))
         gain += self.total - float(left @ left)
         norm = np.linalg.norm(D, axis=0)
         for s in starts:
             secant = (self.change if change is None else self.change_now)(c.effect(s))
-            secant = in_line(secant[:, None], len(self.split.windows))[:, 0]
+            secant = kept_in_line(secant[:, None], len(self.split.windows))[:, 0]
             size = float(secant @ secant)
             norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, begin)) > 0) / 10)
             removed = self.total - float(np.square(self.left + secant).sum())

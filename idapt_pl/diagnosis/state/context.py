@@ -14,7 +14,7 @@ from idapt_pl.diagnosis.candidates.responses import Responses
 from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.world import Numerics
-from idapt_pl.estimation.least_squares import in_line, robust_loss
+from idapt_pl.estimation.least_squares import kept_in_line, robust_loss
 from idapt_pl.prediction.data import Windows
 from idapt_pl.prediction.force_windows import judges_forces
 from idapt_pl.prediction.noise import Noise
@@ -176,7 +176,7 @@ class SearchContext:
 
         def changed(e: Effects) -> np.ndarray:
             change = self.whitened(split, self.with_coarse_numerics(e, step)) - coarse
-            return in_line(change.reshape(-1, 1), len(now)).reshape(now.shape)
+            return kept_in_line(change.reshape(-1, 1), len(now)).reshape(now.shape)
 
         return lambda e: now + changed(e)
 
