@@ -113,7 +113,7 @@ def main() -> None:
     p.add_argument("--summary", action="store_true", help="only print the table of what is there")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "detection_limits.csv")
     o = p.parse_args()
-    rows = read_rows(o.out) if o.out.exists() else []
+    rows = read_rows(o.out)
     for model, seed in [] if o.summary else itertools.product(o.models, o.seeds):
         if any(r["model"] == model and int(r["seed"]) == seed for r in rows):
             continue

@@ -102,7 +102,7 @@ def record(model: mujoco.MjModel, period: float, rng: np.random.Generator) -> Tr
     low, high = np.where(limited, model.actuator_ctrlrange, [-1.0, 1.0]).T
     for k in range(EPISODES):
         begin(model, data, rng)
-        commands = low + (low_frequencies(model.nu, period, k, rng) + 1) / 2 * (high - low)
+        commands = low + (random_commands(model.nu, period, k, rng) + 1) / 2 * (high - low)
         q, v = [data.qpos.copy()], [data.qvel.copy()]
         for u in commands.astype(np.float32):
             data.ctrl[:] = u
@@ -126,7 +126,7 @@ def begin(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) 
     mujoco.mj_forward(model, data)
 
 
-def low_frequencies(nu: int, period: float, k: int, rng: np.random.Generator) -> np.ndarray:
+def random_commands(nu: int, period: float, k: int, rng: np.random.Generator) -> np.ndarray:
     """Commands of an episode in parts of their range, (STEPS, nu): held in odd episodes, sums of three sines else."""
     if k % 2:
         return 0.7 * np.repeat(rng.uniform(-1, 1, (STEPS // HELD, nu)), HELD, 0)

@@ -34,9 +34,9 @@ def size_cells(x: DetectionLimit) -> tuple[str, str]:
     """The smallest change that is seen, and its unit."""
     if not np.isfinite(x.change):
         return "#none is seen", ""
-    return (f"#{format_number(100 * x.change / abs(x.nominal), 2)}", "%") if x.told_as_share else (
-        f"#{format_number(x.change, 2)}", "" if x.unit == "1" else x.unit,
-    )  # fmt: skip
+    if x.told_as_share:
+        return f"#{format_number(100 * x.change / abs(x.nominal), 2)}", "%"
+    return f"#{format_number(x.change, 2)}", "" if x.unit == "1" else x.unit
 
 
 def limit_sentence(limits: Sequence[DetectionLimit]) -> str:
