@@ -258,6 +258,8 @@ _add(
     hidden.servo_stiffness("shoulder", 0.75),
     also=({("actuator_kp", "shoulder")}, {("actuator_stiffness", "shoulder")}),
 )
+_add("servo_weak_elbow", SERVO, hidden.servo_strength("elbow", 0.7))
+_add("servo_weak_motors", SERVO, hidden.servo_strength("*", 0.8), numerics=SAME)
 _add("servo_shoulder_torque_limit", SERVO, hidden.force_limit("shoulder", 2.0))
 _add("servo_lag", SERVO, hidden.command_lag("*", 0.03))
 _add("servo_elbow_stribeck", SERVO, hidden.stribeck("elbow", 0.15, 0.6, 0.4))

@@ -211,6 +211,18 @@ def servo_stiffness(actuator: str, factor: float) -> Part:
     return Part(truth, lambda root: _scale(_actuator(root, actuator), "kp", factor))
 
 
+def servo_strength(actuator: str, factor: float) -> Part:
+    """A position servo whose motor gives less than its drive asks for; ``"*"`` for all servos."""
+
+    def edit(root: ET.Element) -> None:
+        for element in root.find("actuator").iter("position"):
+            if actuator in ("*", element.get("name")):
+                element.set("kp", repr(factor * float(element.get("kp"))))
+                element.set("kv", repr(factor * float(element.get("kv"))))
+
+    return Part(Truth("motor_strength", actuator, "factor", factor), edit)
+
+
 def force_limit(actuator: str, limit: float) -> Part:
     """An actuator that cannot push harder than ``limit`` (before the gear)."""
 

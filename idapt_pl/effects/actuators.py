@@ -139,6 +139,35 @@ class ActuatorKp(Effect):
 
 
 @dataclass(frozen=True)
+class MotorStrength(Effect):
+    """Scales all that an actuator gives, its answers to command, position and velocity: a servo with a weak motor.
+
+    A lower supply or a worn gear does that; its drive still believes in its gains. Of a motor without feedback it is
+    :class:`ActuatorGain`, of a servo without feedback of velocities :class:`ActuatorKp`.
+    """
+
+    name: ClassVar[str] = "motor_strength"
+    phrase: ClassVar[str] = "strength of the motor of actuator"
+    factor: float = parameter("1", 0.0, 1e3)
+
+    def apply(self, spec: mujoco.MjSpec) -> None:
+        for actuator in find_elements(spec, "actuators", self.target):
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
+                continue  # its back-EMF is of the same constant: see MotorConstant
+            if actuator.gaintype == mujoco.mjtGain.mjGAIN_MUSCLE:
+                actuator.gainprm[PEAK_FORCE] *= self.factor
+                actuator.biasprm[PEAK_FORCE] *= self.factor
+            elif self.target != "*" or actuator.biasprm[2]:
+                actuator.gainprm[:3] = self.factor * np.asarray(actuator.gainprm[:3])
+                actuator.biasprm[:3] = self.factor * np.asarray(actuator.biasprm[:3])
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        names = [model.actuator(i).name for i in linear_actuators(model) if model.actuator_biasprm[i, 2]]
+        return with_shared([Candidate(cls, name, ("factor",), (1.0,), (0.3,), scaled_starts(1.0)) for name in names])
+
+
+@dataclass(frozen=True)
 class ActuatorKv(Effect):
     """Velocity feedback of a servo, or the back-EMF of a motor: force = -kv · velocity."""
 

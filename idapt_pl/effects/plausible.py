@@ -162,6 +162,7 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_gain", "gain"): MOTOR,
     ("motor_constant", "factor"): MOTOR,
     ("motor_resistance", "factor"): MOTOR,
+    ("motor_strength", "factor"): MOTOR,
     ("actuator_kp", "factor"): Plausible(
         0.01, 100.0, "of the model's", "published models of servos have gains thirty times off"
     ),

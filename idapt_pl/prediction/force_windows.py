@@ -13,6 +13,7 @@ from idapt_pl.effects.actuators import (
     ActuatorSaturation,
     MotorConstant,
     MotorResistance,
+    MotorStrength,
 )
 from idapt_pl.effects.joints import JointBacklash
 from idapt_pl.effects.runtime import SensingEffect
@@ -26,7 +27,7 @@ from idapt_pl.prediction.whitening import WhitenedWindows
 OF_NO_INSTANT = (SensingEffect, SensorDelay, JointBacklash, Numerics)
 """Effects that no single instant shows: of sensors, of play in joints, of how equations are integrated."""
 
-SHRINKING = (ActuatorDeadzone, ActuatorGain, ActuatorSaturation, MotorConstant, MotorResistance)
+SHRINKING = (ActuatorDeadzone, ActuatorGain, ActuatorSaturation, MotorConstant, MotorResistance, MotorStrength)
 """Effects that would win by making torques small: where there are none, none is unexplained.
 
 Besides, torques of an arm that moves against its friction point the way it moves, and so does what a dead zone takes

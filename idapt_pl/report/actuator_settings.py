@@ -24,8 +24,8 @@ TERMS = {
 }
 """Terms and their units, of hinges or slides."""
 
-SAID = ("joint_damping", "joint_frictionloss", "joint_armature", "actuator_kp", "actuator_kv", "actuator_delay",
-        "actuator_saturation")  # fmt: skip
+SAID = ("joint_damping", "joint_frictionloss", "joint_armature", "actuator_kp", "actuator_kv", "motor_strength",
+        "actuator_delay", "actuator_saturation")  # fmt: skip
 """Effects that these terms say in full."""
 
 PLAIN = (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)

@@ -27,6 +27,7 @@ CONFIRM = {
     "actuator_gain": "Hold a known weight on a lever and compare torque and command; check supply and current limit.",
     "motor_constant": "Measure voltage over speed with the motor turned by hand or another motor.",
     "motor_resistance": "Measure between two terminals of the motor, cold and warm; add driver, cables and supply.",
+    "motor_strength": "Push the held joint with a known force; measure the supply under load.",
     "actuator_kp": "Read the gains from the drive; push the held joint with a known force and note how far it gives.",
     "actuator_kv": "Read the gains from the drive; give steps of several sizes.",
     "actuator_bias": "Send zero and watch; calibrate the zero of drive and encoder.",

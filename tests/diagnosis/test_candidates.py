@@ -90,6 +90,11 @@ def test_other_numerics_are_tried_from_the_coarsest_to_the_finest(model):
     ]
 
 
+def test_the_models_own_numerics_are_no_others(model):
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert [(n.timestep, n.integrator) for n in numerics_candidates(model)] == [(0.01, "RK4"), (0.002, "implicitfast")]
+
+
 JOINT_EFFECTS = ("joint_damping", "joint_frictionloss", "joint_armature", "joint_stiffness", "joint_drag",
                  "joint_stribeck", "joint_cogging", "sensor_bias", "sensor_gain")  # fmt: skip
 

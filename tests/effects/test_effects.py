@@ -18,6 +18,7 @@ from idapt_pl.effects.actuators import (
     ActuatorSaturation,
     MotorConstant,
     MotorResistance,
+    MotorStrength,
 )
 from idapt_pl.effects.bodies import BodyCom, BodyInertia, BodyMass, Payload
 from idapt_pl.effects.candidate import TypicalSizes
@@ -89,6 +90,7 @@ EXAMPLES = [
     BodyInertia("link", mass=1.1, rotation=1.2, x=0.01, xy=0.1),
     MotorConstant("dc", 1.2),
     MotorResistance("dc", 1.2),
+    MotorStrength("hold", 0.8),
     ActuatorRotation("push hold", 0.3),
     ContactSoftness("*", 0.05),
     FluidDrag("world", density=1.2, viscosity=0.1),
@@ -534,6 +536,20 @@ def test_a_motors_resistance_and_loop_are_its_own(nominal):
     model = spec.compile()
     assert model.actuator("dc").gainprm[[0, 1, 4]].tolist() == [2.0, 0.05, 10.0]
     assert model.actuator("hold").gainprm[0] == 15.0
+
+
+def test_a_weak_motor_gives_less_of_all_that_its_servo_asks_for(nominal):
+    """Force = 0.75 (kp (u - q) - kv v), whatever it pulls at; motors without feedback are left to their gains."""
+    spec = mujoco.MjSpec.from_string(MODEL.replace('kp="30"', 'kp="30" kv="2"'))
+    MotorStrength("*", 0.75).apply(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.ctrl[:], data.qpos[:], data.qvel[:] = (0.4, 0.0, 0.3), (0.1, 0.2), (0.5, -0.7)
+    mujoco.mj_forward(model, data)
+    assert data.actuator("hold").force[0] == pytest.approx(0.75 * (30 * (0.3 - 0.2) - 2 * -0.7))
+    assert data.actuator("push").force[0] == pytest.approx(0.4)
+    named = [c.target for c in MotorStrength.candidates(model, None)]
+    assert named == ["hold"] and not MotorStrength.candidates(nominal, None)
 
 
 def test_what_mjcf_cannot_say_of_a_dcmotor_is_not_written_into_its_other_numbers(nominal):

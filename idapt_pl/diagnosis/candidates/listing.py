@@ -38,10 +38,12 @@ actuator_kp
 actuator_saturation.force
 motor_constant
 motor_resistance
+motor_strength
 actuator_kv
 actuator_kp(*)
 motor_constant(*)
 motor_resistance(*)
+motor_strength(*)
 actuator_kv(*)
 actuator_rotation
 contact_friction(*)
@@ -127,9 +129,11 @@ def in_order(candidates: list[Candidate]) -> list[Candidate]:
 
 
 def numerics_candidates(model: mujoco.MjModel) -> list[Numerics]:
-    """Other ways to integrate the same equations, finest last."""
+    """Ways to integrate the same equations other than the model's own, finest last."""
     h = float(model.opt.timestep)
+    own = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_").lower()
     return [
         Numerics("world", timestep=h / f, integrator=how)
         for f, how in ((1, "implicitfast"), (1, "RK4"), (5, "implicitfast"))
+        if (f, how.lower()) != (1, own)
     ]

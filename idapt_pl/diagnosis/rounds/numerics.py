@@ -43,14 +43,16 @@ def retest_numerics(context: SearchContext, state: SearchState) -> SearchState:
     sure = gain - context.settings.sureness * error > 0
     if not (sure and gain > max(0.03 * level, OF_THE_REST * max(level - 1.0, 0.0), 0.05)):
         return state
-    log.info("numerics: %s leaves %.3g of %.3g", best.fixed[-1].to_dict()["parameters"], after.mean(), level)
+    taken = [e.to_dict()["parameters"] for e in best.fixed if e.name == Numerics.name]
+    log.info("numerics: %s leaves %.3g of %.3g", taken or "the model's own", after.mean(), level)
     return refit_accepted(context, renew(context, best))
 
 
 def best_numerics(context: SearchContext, state: SearchState) -> SearchState | None:
     """The state with the numerics that leave least on the screen's windows; None where none leaves less.
 
-    Of numerics that are about as good the finer ones are taken, which are tried later.
+    The model's own are among them once others were taken. Of those that are about as good the finer ones are taken,
+    which are tried later.
     """
     others = tuple(e for e in state.fixed if e.name != Numerics.name)
     z = context.whitened(state.windows.screen, state.effects)
@@ -58,10 +60,9 @@ def best_numerics(context: SearchContext, state: SearchState) -> SearchState | N
     if level < NUMERICS_FLOOR:
         return None
     best, best_loss, asked = None, level, max(SHARE_BY_NUMERICS, OF_THE_REST * (1 - 1 / level))
-    for effect in numerics_candidates(context.sim.model):
-        if effect in state.fixed:
+    for fixed in (others, *((*others, effect) for effect in numerics_candidates(context.sim.model))):
+        if fixed == state.fixed:
             continue
-        fixed = (*others, effect)
         moved = context.whitened(state.windows.screen, (*fixed, *effects_of(state.candidates, state.estimates))) - z
         if np.square(moved).sum() < (asked / 2) ** 2 * np.square(z).sum():
             continue  # |z + moved|² < (1 - asked) |z|² takes a larger one
