@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from datamodules.recordings.errors import RecordingError, choices, listing
-from datamodules.recordings.mapping import Channel, Joint, Mapping
+from datamodules.recordings.mapping import Channel, Mapping
 from datamodules.recordings.recorded import Recorded
 
 
@@ -31,7 +31,9 @@ def chosen(mapping: Mapping, recorded: Recorded) -> Mapping:
         return replace(channel, columns=(pick(channel.key, channel.columns + channel.others),), others=())
 
     joints = {
-        name: Joint(one(joint.position), None if joint.velocity is None else one(joint.velocity))
+        name: replace(
+            joint, position=one(joint.position), velocity=None if joint.velocity is None else one(joint.velocity)
+        )
         for name, joint in mapping.joints.items()
     }
     time = mapping.time

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from datamodules.recordings.axes_doubts import floating_doubts
 from datamodules.recordings.convert import Imported
 from datamodules.recordings.errors import RecordingError, choices, listing
 from datamodules.recordings.mapping import Channel, Joint, Mapping
@@ -104,7 +105,7 @@ def _fit_joint(mapping: Mapping, joint: Joint, layout: JointLayout) -> Joint:
     nq, nv = WIDTHS[layout.type]
     position = _fit_channel(mapping, joint.position, layout, nq, "")
     velocity = None if joint.velocity is None else _fit_channel(mapping, joint.velocity, layout, nv, "/s")
-    return Joint(position, velocity)
+    return replace(joint, position=position, velocity=velocity)
 
 
 def _fit_channel(mapping: Mapping, channel: Channel, layout: JointLayout, width: int, per: str) -> Channel:
@@ -184,15 +185,22 @@ def _actuator_doubts(actuator: ActuatorLayout, values: np.ndarray) -> list[str]:
 def check_velocities(imported: Imported, mapping: Mapping) -> tuple[str, ...]:
     """Doubts about velocities whose sign or size is not that of the positions' slope; no model is needed."""
     episodes, dt = imported.trajectories.episodes, imported.trajectories.dt
-    if "qvel" not in episodes[0].observations or any(len(j.position.columns) > 1 for j in mapping.joints.values()):
+    if "qvel" not in episodes[0].observations:
         return ()
-    slopes, velocities = [], []
-    for e in episodes:
-        times = np.arange(len(e) + 1) * dt if e.timestamps is None else e.timestamps
-        slopes.append(np.gradient(e.observations["qpos"], times, axis=0))
-        velocities.append(e.observations["qvel"])
-    pairs = zip(np.concatenate(slopes).T, np.concatenate(velocities).T, strict=True)
-    return tuple(n for name, pair in zip(mapping.joints, pairs, strict=True) for n in _velocity_doubts(name, *pair))
+    times = [np.arange(len(e) + 1) * dt if e.timestamps is None else e.timestamps for e in episodes]
+    longest = max(range(len(episodes)), key=lambda i: len(episodes[i]))
+    notes, q, v = [], 0, 0
+    for name, joint in mapping.joints.items():
+        nq, nv = next((w for w in WIDTHS.values() if w[0] == len(joint.position.columns)), (1, 1))
+        positions = [e.observations["qpos"][:, q : q + nq] for e in episodes]
+        velocities = [e.observations["qvel"][:, v : v + nv] for e in episodes]
+        if nq > 1:
+            notes += floating_doubts(name, positions[longest], velocities[longest], times[longest])
+        else:
+            slopes = [np.gradient(p[:, 0], t) for p, t in zip(positions, times, strict=True)]
+            notes += _velocity_doubts(name, np.concatenate(slopes), np.concatenate(velocities)[:, 0])
+        q, v = q + nq, v + nv
+    return tuple(notes)
 
 
 def _velocity_doubts(name: str, slope: np.ndarray, velocity: np.ndarray) -> list[str]:

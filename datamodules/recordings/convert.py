@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from datamodules.recordings.alternatives import chosen
-from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.axes import no_rotation
+from datamodules.recordings.errors import RecordingError, listing
 from datamodules.recordings.hold import with_held_channels
 from datamodules.recordings.mapping import LONGEST_PERIOD, SHORTEST_PERIOD, Channel, Mapping
 from datamodules.recordings.recorded import Recorded
@@ -80,11 +81,7 @@ def convert(recordings: list[Recorded], mapping: Mapping, source: str = "", repa
 def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Timing) -> Episode:
     """One episode of T+1 = len(times) rows."""
     rows = len(times)
-    observations = {}
-    if mapping.joints:
-        observations["qpos"] = _rows([j.position for j in mapping.joints.values()], recorded, rows)
-    if mapping.velocities:
-        observations["qvel"] = _rows(mapping.velocities, recorded, rows)
+    observations = _motion(recorded, mapping, rows) if mapping.joints else {}
     if mapping.images is not None:
         observations["pixels"] = recorded.column(mapping.images.column, "images.column")
         _check_length(recorded, mapping.images.column, len(observations["pixels"]), rows)
@@ -97,17 +94,42 @@ def _episode(recorded: Recorded, mapping: Mapping, times: np.ndarray, timing: Ti
     )
 
 
-def _rows(channels: list[Channel], recorded: Recorded, rows: int) -> np.ndarray:
-    """Channels side by side, (T+1, sum of their columns), in the model's units."""
+def _motion(recorded: Recorded, mapping: Mapping, rows: int) -> dict[str, np.ndarray]:
+    """Qpos and, if all were measured, qvel, in the model's units and axes."""
+    joints = list(mapping.joints.values())
+    positions = [_rows(joint.position, recorded, rows) for joint in joints]
+    for joint, of_joint in zip(joints, positions, strict=True):
+        _check_rotations(recorded, joint.position, of_joint)
+    turned = [j.axes.position(p) if j.axes else p for j, p in zip(joints, positions, strict=True)]
+    if not mapping.velocities:
+        return {"qpos": np.hstack(turned)}
+    velocities = [_rows(channel, recorded, rows) for channel in mapping.velocities]
+    triples = zip(joints, velocities, positions, strict=True)
+    return {
+        "qpos": np.hstack(turned),
+        "qvel": np.hstack([j.axes.velocity(v, p) if j.axes else v for j, v, p in triples]),
+    }
+
+
+def _rows(channel: Channel, recorded: Recorded, rows: int) -> np.ndarray:
+    """A channel's columns, (T+1, n), in the model's units."""
+    if channel.constant:
+        return np.full((rows, 1), channel.offset)
     blocks = []
-    for channel in channels:
-        for column in channel.columns:
-            values = recorded.numbers(column, channel.key)
-            _check_length(recorded, column, len(values), rows)
-            blocks.append(_converted(recorded, channel, values, np.finfo(np.float64).max))
-        if channel.constant:
-            blocks.append(np.full(rows, channel.offset))
+    for column in channel.columns:
+        values = recorded.numbers(column, channel.key)
+        _check_length(recorded, column, len(values), rows)
+        blocks.append(_converted(recorded, channel, values, np.finfo(np.float64).max))
     return np.column_stack(blocks)
+
+
+def _check_rotations(recorded: Recorded, channel: Channel, positions: np.ndarray) -> None:
+    """Refuse rows (n, 4 or 7) of a ball or free joint whose quaternion is none."""
+    if len(channel.columns) in (4, 7) and (k := no_rotation(positions[:, -4:])) is not None:
+        raise RecordingError(
+            f"{recorded.source}: {channel.key}: columns {listing(channel.columns[-4:])} have length "
+            f"{np.linalg.norm(positions[k, -4:]):.3g} at {recorded.row(k)}, expected 1 of a quaternion (w, x, y, z)"
+        )
 
 
 def _command(channel: Channel, recorded: Recorded, rows: int, at: str) -> np.ndarray:
@@ -270,6 +292,12 @@ def _notes(mapping: Mapping, timing: Timing) -> tuple[str, ...]:
     if measured and len(measured) < len(mapping.joints):
         without = [name for name in mapping.joints if name not in measured]
         notes.append(f"qvel is left out: joint {without[0]} has no velocity in the map")
+    notes += [
+        f"joint {name}: world {joint.axes.world}, body {joint.axes.body}, linear velocity in the {joint.axes.linear}'s "
+        f"axes and angular in the {joint.axes.angular}'s, turned into MuJoCo's"
+        for name, joint in mapping.joints.items()
+        if joint.axes
+    ]
     if timing.longest[0] > 10 * timing.dt:
         notes.append(f"a pause of {timing.longest[0]:.3g} s after {timing.longest[1]}: one command is held across it")
     return tuple(notes)

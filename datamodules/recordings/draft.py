@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from datamodules.recordings.check import SI, ActuatorLayout, JointLayout, ModelLayout
+from datamodules.recordings.draft_floating import FloatingColumns, floating_columns
 from datamodules.recordings.draft_match import Match, is_finite, match, single_names, usable_columns
 from datamodules.recordings.draft_names import (
     COMMAND,
@@ -56,6 +57,7 @@ class Draft:
         settings: ``skip_rows`` and ``header``, where they are not the usual.
         time: column and unit.
         positions, velocities: by joint.
+        axes: of a floating body, by joint, where they are not MuJoCo's.
         actuators: by name.
         episodes: the column that tells them apart, None if there is none.
         left: columns that are in none of these.
@@ -68,6 +70,7 @@ class Draft:
     time: Line = field(default_factory=lambda: Line(None, ""))
     positions: dict[str, Line] = field(default_factory=dict)
     velocities: dict[str, Line] = field(default_factory=dict)
+    axes: dict[str, Line] = field(default_factory=dict)
     actuators: dict[str, Line] = field(default_factory=dict)
     episodes: Line | None = None
     left: list[str] = field(default_factory=list)
@@ -75,7 +78,7 @@ class Draft:
     def used(self) -> set[str]:
         """Columns that are in the map."""
         lines = [self.time, *self.positions.values(), *self.velocities.values(), *self.actuators.values()]
-        return {line.entry["column"] for line in lines if line.entry} | (
+        return {name for line in lines for name in columns_of(line)} | (
             {self.episodes.entry} if self.episodes else set()
         )
 
@@ -86,6 +89,12 @@ class Draft:
             *(f"joints.{name}.position" for name, line in self.positions.items() if line.entry is None),
             *(f"actuators.{name}" for name, line in self.actuators.items() if line.entry is None),
         ]
+
+
+def columns_of(line: Line) -> list[str]:
+    """Those that a line names."""
+    column = line.entry["column"] if line.entry else []
+    return column if isinstance(column, list) else [column]
 
 
 def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -> Draft:
@@ -106,27 +115,35 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
         raise RecordingError(f"{path}: no column holds numbers; there is nothing to guess a map from")
     if settings.get("header", True) and _is_numbered(recorded):
         settings["header"] = False
+    floating = floating_columns(free) if [j.type for j in model.joints].count("free") == 1 else None
+    free = [name for name in free if floating is None or name not in (*floating.position, *floating.velocity)]
     joints = {joint.name: joint for joint in model.joints if joint.type in SI}
     words = {name: telling_words(name) for name in joints}
     positions = match(words, POSITION, recorded, free)
     free = _without(free, positions)
     beside = {name: found.column for name, found in positions.items()}
-    recorded, empty = _on_rows_of(recorded, list(beside.values()), free)
+    placed = [*(floating.position[:1] if floating else ()), *beside.values()]
+    recorded, empty = _on_rows_of(recorded, placed, free)
     velocities = match(words, VELOCITY, recorded, free, beside)
     free = _without(free, velocities)
     driving = [c for c in free if not wants_motion(c)] if all(a.force for a in model.actuators) else free
     commands = match({a.name: _actuator_words(a, driving) for a in model.actuators}, COMMAND, recorded, driving)
     free = _without(free, commands)
-    rows = max(len(recorded.columns[c]) for c in beside.values()) if beside else len(recorded.columns[free[0]])
+    rows = max(len(recorded.columns[c]) for c in placed or free[:1])
     draft = Draft(str(path), model.name, rows, settings)
-    draft.time = _time(recorded, next(iter(beside.values()), None))
+    draft.time = _time(recorded, next(iter(placed), None))
     times = _seconds(recorded, draft.time)
     for joint in model.joints:
+        if joint.type == "free" and floating:
+            _add_floating(draft, joint.name, floating)
+            continue
         if joint.type not in SI:
             draft.positions[joint.name] = Line(None, f"a {joint.type} joint takes a list of columns, see the guide")
             continue
         _add_joint(draft, recorded, joint, positions.get(joint.name), velocities.get(joint.name), times, free)
     draft.actuators = {a.name: _command(recorded, a, commands.get(a.name)) for a in model.actuators}
+    if floating and len(floating.motors) == len(model.actuators):
+        draft.actuators = {a.name: _motor(a, c) for a, c in zip(model.actuators, floating.motors, strict=True)}
     for lines in (draft.positions, draft.velocities, draft.actuators):
         lines |= {name: _held(line, empty) for name, line in lines.items()}
     draft.episodes = _episodes(recorded, rows)
@@ -192,7 +209,7 @@ def _on_rows_of(recorded: Recorded, positions: list[str], others: list[str]) -> 
 
 def _held(line: Line, empty: dict[str, int]) -> Line:
     """A channel's line; where its column has empty cells the last value holds."""
-    n = empty.get(line.entry["column"], 0) if line.entry else 0
+    n = empty.get(line.entry["column"], 0) if len(columns_of(line)) == 1 else 0
     return Line(line.entry | {"hold": True}, f"{line.why}; {n} empty cells, so the last value holds") if n else line
 
 
@@ -246,6 +263,15 @@ def _add_joint(
     )
 
 
+def _add_floating(draft: Draft, name: str, found: FloatingColumns) -> None:
+    """Add a free joint's lines."""
+    draft.positions[name] = Line({"column": list(found.position)}, found.why)
+    if found.velocity:
+        draft.velocities[name] = Line({"column": list(found.velocity)}, found.why)
+    if found.axes:
+        draft.axes[name] = Line(found.axes, "as usual with such names")
+
+
 def _follower(recorded: Recorded, times: np.ndarray, positions: np.ndarray, free: list[str]) -> Match | None:
     """A column that has the course of the position's slope."""
     best = (0.95, "")
@@ -253,6 +279,14 @@ def _follower(recorded: Recorded, times: np.ndarray, positions: np.ndarray, free
         if kind_of(name) in ("", VELOCITY) and not set(words_of(name)) & TIME_WORDS:
             best = max(best, (abs(slope_of(times, positions, recorded.columns[name])[0]), name))
     return Match(best[1], "it follows the position's slope") if best[1] else None
+
+
+def _motor(actuator: ActuatorLayout, column: str) -> Line:
+    """The line of a motor that was commanded from 0 to 1."""
+    why = "BY ITS PLACE ONLY, if the order is the model's; from 0 to 1"
+    if actuator.range is None:
+        return Line({"column": column}, f"{why}, add scale: what the model's motor gives at 1")
+    return Line({"column": column, "scale": actuator.range[1]}, f"{why}, scaled to the model's range")
 
 
 def _command(recorded: Recorded, actuator: ActuatorLayout, found: Match | None) -> Line:

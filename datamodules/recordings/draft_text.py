@@ -52,6 +52,8 @@ def draft_text(draft: Draft) -> str:
             lines += _entry("    ", "velocity", velocity, "{column: ..., unit: rad/s}")
         elif position.entry is not None:
             lines.append("    # velocity: {column: ...}  # not found; qvel is written if every joint has one")
+        if (axes := draft.axes.get(name)) is not None:
+            lines += _entry("    ", "axes", axes, "")
     if draft.actuators:
         lines.append("actuators:")
         for name, command in draft.actuators.items():
@@ -87,10 +89,12 @@ def quoted(name: str) -> str:
 def _flow(value: Any) -> str:
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_flow(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_flow(part) for part in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
+    if isinstance(value, int | float):
+        return f"{value:g}"
     return (
         value if re.fullmatch(r"[A-Za-z]+(/s|:\d+(/s)?)?", value) and yaml.safe_load(value) == value else quoted(value)
     )

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from datamodules.recordings.axes import Axes, parse_axes
 from datamodules.recordings.errors import RecordingError, choices
 from datamodules.recordings.units import TIME, Unit, actuator_unit, position_unit, velocity_unit
 from datamodules.safe_yaml import read_yaml
@@ -86,10 +87,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint's position [rad or m] and, where it was measured, velocity [rad/s or m/s]."""
+    """A joint's position [rad or m] and, where it was measured, velocity [rad/s or m/s].
+
+    Attributes:
+        axes: of a ball or free joint, where they are not MuJoCo's.
+    """
 
     position: Channel
     velocity: Channel | None = None
+    axes: Axes | None = None
 
 
 @dataclass(frozen=True)
@@ -275,7 +281,7 @@ def _images(value: Any) -> ImageColumn:
 
 
 def _joint(key: str, value: Any) -> Joint:
-    entry = _section(key, value, ("position", "velocity"))
+    entry = _section(key, value, ("position", "velocity", "axes"))
     if "position" not in entry:
         raise RecordingError(f"{key}: position is missing; expected position: {{column: ..., unit: rad}}")
     position = _channel(f"{key}.position", entry["position"], position_unit)
@@ -285,7 +291,8 @@ def _joint(key: str, value: Any) -> Joint:
             f"{key}: the position is in {position.unit.name} and the velocity in {velocity.unit.name}; "
             "expected both to be of a hinge (angles) or of a slide (lengths)"
         )
-    return Joint(position, velocity)
+    axes = parse_axes(f"{key}.axes", entry["axes"], len(position.columns)) if "axes" in entry else None
+    return Joint(position, velocity, axes)
 
 
 def _channel(key: str, value: Any, unit_of: Callable[[str, str], Unit]) -> Channel:

@@ -449,10 +449,11 @@ def test_free_joint_takes_seven_columns(tmp_path):
     (tmp_path / "free.xml").write_text(
         '<mujoco><worldbody><body><freejoint name="root"/><geom size="1"/></body></worldbody></mujoco>'
     )
-    path = write_csv(tmp_path / "a.csv", {k: [float(i)] * 3 for i, k in enumerate("abcdefg")})
+    row = [0.0, 1.0, 2.0, 0.1, 0.3, 0.5, 0.806]
+    path = write_csv(tmp_path / "a.csv", {k: [value] * 3 for k, value in zip("abcdefg", row, strict=True)})
     mapping = {"dt": 0.1, "joints": {"root": {"position": {"column": list("abcdefg")}}}}
     imported = load(path, mapping, model=tmp_path / "free.xml")
-    np.testing.assert_array_equal(imported.trajectories.episodes[0].observations["qpos"][0], np.arange(7))
+    np.testing.assert_array_equal(imported.trajectories.episodes[0].observations["qpos"][0], row)
     with pytest.raises(RecordingError, match="a free joint takes 7 columns, got 1"):
         load(path, {"dt": 0.1, "joints": {"root": {"position": "a"}}}, model=tmp_path / "free.xml")
 
@@ -472,7 +473,7 @@ def test_free_joint_takes_seven_columns(tmp_path):
         (changed(time=None, dt="fast"), "dt: expected a number, got 'fast'"),
         (changed(joints=None), "joints: expected at least one joint with a position column"),
         (changed(joints={"a": {"velocity": "v"}}), "joints.a: position is missing"),
-        (changed(joints={"a": "x"}), "joints.a: expected keys among position, velocity; got 'x'"),
+        (changed(joints={"a": "x"}), "joints.a: expected keys among position, velocity, axes; got 'x'"),
         (changed(joints={"a": {"position": {"unit": "deg"}}}), "joints.a.position.column: expected the name of a col"),
         (changed(joints={"a": {"position": {"column": "x", "unit": "degrees"}}}), "unknown unit 'degrees'; did you"),
         (changed(joints={"a": {"position": {"column": "x", "unit": "counts:0"}}}), "counts:<counts per revolution>"),
