@@ -452,6 +452,23 @@ _add("control_quadruped", QUADRUPED, numerics=SAME)
 _add("control_ant_fine", ANT)
 _add("control_quadruped_fine", QUADRUPED)
 
+# --- a quadrotor, which nothing holds -------------------------------------------------------------------------
+
+ROTORS = "quadrotor"
+LIFTED = tuple({one} for one in (("body_inertia", "frame"), ("payload", "frame"), ("actuator_gain", "*")))
+
+_add("quadrotor_mass", ROTORS, hidden.body_mass("frame", 1.15), also=LIFTED, numerics=SAME)
+_add("quadrotor_load", ROTORS, hidden.payload("frame", 0.15, (0.05, 0.02, -0.06)), also=({("body_inertia", "frame")},))
+_add("quadrotor_com", ROTORS, hidden.body_com("frame", (0.01, -0.006, 0.0)), also=({("body_inertia", "frame")},))
+_add("quadrotor_rotor", ROTORS, hidden.motor_gain("back_left", 0.85), numerics=SAME)
+_add("quadrotor_lag", ROTORS, hidden.command_lag("*", 0.04))
+_add("quadrotor_delay", ROTORS, hidden.command_delay(0.02), also=ALL_DELAY, numerics=SAME)
+_add("quadrotor_limit", ROTORS, hidden.command_limit("*", 2.6), numerics=SAME)
+_add("quadrotor_pull", ROTORS, hidden.external_force("frame", (0.3, 0.0, 0.0)), numerics=SAME)
+_add("quadrotor_rotor_and_lag", ROTORS, hidden.motor_gain("front_left", 0.85), hidden.command_lag("*", 0.04))
+_add("control_quadrotor", ROTORS, numerics=SAME)
+_add("control_quadrotor_fine", ROTORS)
+
 # --- controls: nothing is hidden -------------------------------------------------------------------------
 
 _add("control_pendulum", PENDULUM, numerics=SAME)

@@ -123,7 +123,7 @@ class _Episode:
         assert abs(self.late - sum(delays)) < 1e-6, "a delay must be a multiple of the true time step"
         self.steps = int(rng.integers(*self.settings.steps, endpoint=True))
         self.excitation = excitation(kind, self.steps, self.nominal, self.settings, case.amplitude, rng)
-        self.balanced = kind != "low"
+        self.balanced = kind != "low" or not self.settings.falls
         self.noise = sensor_noise(self.steps + 1, self.nominal, case.noise, rng)  # of coordinates that only add
         self.read = _reader(self.nominal, self.model, self.sensors)
         self.start()

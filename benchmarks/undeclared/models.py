@@ -53,6 +53,7 @@ class Model:
         feedback: (nu, nq + nv), added to the excitation as feedback @ measured state; None for open loop.
         fallen: coordinate and limit beyond which an episode ends.
         fastest: frequency in the excitation, Hz.
+        falls: episodes of low excitation go without the feedback.
         spin: a free body is thrown with any orientation, and turns by up to this about each axis, rad/s.
     """
 
@@ -68,6 +69,7 @@ class Model:
     fallen: tuple[int, float] | None = None
     fastest: float = 6.0
     spin: float = 0.0
+    falls: bool = True
 
 
 @cache
@@ -288,6 +290,40 @@ def _rotary_pendulum() -> str:
 """
 
 
+def _quadrotor() -> str:
+    """Four rotors on an X, which push along the body's z and turn it the other way than they turn."""
+    rotors = {"front_left": (0.12, 0.12, 1), "front_right": (0.12, -0.12, -1), "back_left": (-0.12, 0.12, -1),
+              "back_right": (-0.12, -0.12, 1)}  # fmt: skip
+    sites = "".join(f'<site name="{name}" pos="{x} {y} 0.02"/>' for name, (x, y, _) in rotors.items())
+    motors = "".join(
+        f'<motor name="{name}" site="{name}" gear="0 0 1 0 0 {-0.016 * turns}" ctrllimited="true" ctrlrange="0 6"/>'
+        for name, (_, _, turns) in rotors.items()
+    )
+    return f"""<mujoco model="quadrotor">
+  <compiler angle="radian"/>
+  <option timestep="0.002" integrator="Euler" density="1.2" viscosity="1.8e-5"/>
+  <worldbody>
+    <body name="frame" pos="0 0 1">
+      <freejoint name="frame"/>
+      <inertial pos="0 0 0" mass="0.9" diaginertia="0.006 0.0065 0.011"/>
+      <geom name="frame" type="box" size="0.08 0.05 0.03" contype="0" conaffinity="0"/>
+      {sites}
+    </body>
+  </worldbody>
+  <actuator>{motors}</actuator>
+</mujoco>
+"""
+
+
+def _hover() -> tuple[tuple[float, ...], ...]:
+    """Feedback of a quadrotor near level: its turning, and a thrust that holds 1 m by w of the quaternion, about 1."""
+    rows = []
+    for x, y, turns in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        level = (0.9 * 9.81 / 4 + 1.0, -1.6 * y, 1.6 * x, 0.6 * turns)
+        rows.append((0, 0, -1.0, *level, 0, 0, -0.8, -0.15 * y, 0.15 * x, 0.3 * turns))
+    return tuple(rows)
+
+
 MODELS: dict[str, Model] = {
     "inverted_pendulum": Model(
         build=lambda: _from_gymnasium("inverted_pendulum.xml"),
@@ -459,6 +495,19 @@ MODELS: dict[str, Model] = {
         start=(*((-0.1, 0.1),) * 2, (0.55, 0.6), (1.0, 1.0), *((0.0, 0.0),) * 3, *((-0.1, 0.1),) * 16),
         start_speed=0.1,
         noise=Noise(5e-4, 1e-2),
+    ),
+    "quadrotor": Model(
+        build=_quadrotor,
+        frame_skip=5,
+        episodes=12,
+        steps=(150, 200),
+        amplitude=(0.5,) * 4,
+        fastest=3.0,
+        start=((0.0, 0.0), (0.0, 0.0), (0.9, 1.1), (1.0, 1.0), (-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05)),
+        start_speed=0.2,
+        noise=Noise(5e-4, 1e-2),
+        feedback=_hover(),
+        falls=False,
     ),
     "rotary_pendulum": Model(
         build=_rotary_pendulum,

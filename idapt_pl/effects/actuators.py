@@ -301,6 +301,16 @@ def limits_within(limited: int, own: np.ndarray, limit: float) -> tuple[float, f
     return float(low), float(high)
 
 
+def spread_of(rms: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Standard deviations of magnitudes (n,), where they are not known those of Gaussian signals with these rms."""
+    return spread if len(spread) else 0.6 * rms
+
+
+def levels(rms: float, spread: float, by: tuple[float, ...]) -> tuple[tuple[float], ...]:
+    """Magnitudes so many spreads above the mean one: of a signal about 0, or about what a hovering drone needs."""
+    return tuple((float(np.sqrt(max(rms**2 - spread**2, 0.0)) + f * spread),) for f in by)
+
+
 @dataclass(frozen=True)
 class ActuatorSaturation(CommandEffect):
     """Commands are cut off at plus and minus the limit, and the force (before the gear) at plus and minus its own.
@@ -339,9 +349,9 @@ class ActuatorSaturation(CommandEffect):
         widest = float(widest or 3 * typical.command.max(initial=1.0))
         of_commands = []
         for i, name in named_actuators(model):
-            usual = typical.command[i]
-            starts = tuple((f * usual,) for f in (0.5, 1.0, 1.4))
-            of_commands.append(Candidate(cls, name, ("limit",), (widest,), (float(0.5 * usual),), starts))
+            spread = spread_of(typical.command, typical.command_spread)[i]
+            starts = levels(typical.command[i], spread, (-0.5, 0.33, 1.0))
+            of_commands.append(Candidate(cls, name, ("limit",), (widest,), (float(spread / 1.2),), starts))
         return with_shared(of_commands) + cls.of_forces(model, typical)
 
     @classmethod
@@ -351,7 +361,8 @@ class ActuatorSaturation(CommandEffect):
         for i in servos(model):
             usual, limited = typical.force[i], model.actuator_forcelimited[i]
             widest = float(model.actuator_forcerange[i, 1] if limited else 10 * usual)
-            starts = tuple((f * usual,) for f in (0.5, 1.0, 1.6))
+            spread = spread_of(typical.force, typical.force_spread)[i]
+            starts = levels(usual, spread, (-0.5, 0.33, 1.33))
             if i in names:
-                found.append(Candidate(cls, names[i], ("force",), (widest,), (0.5 * usual,), starts))
+                found.append(Candidate(cls, names[i], ("force",), (widest,), (float(spread / 1.2),), starts))
         return found

@@ -133,6 +133,8 @@ class TypicalSizes:
         effort: the largest torque or force that acted on each joint, (nv,); empty where it is not known.
         stops: where each joint was seen to come to a stop, lower and upper, rad or m, (nv, 2); NaN where it was not,
             empty where nobody looked.
+        command_spread: standard deviation of the commands' magnitudes, (nu,); empty where it is not known.
+        force_spread: likewise of the forces, (nu,).
     """
 
     dt: float
@@ -145,6 +147,8 @@ class TypicalSizes:
     horizon: float
     effort: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
     stops: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2)))
+    command_spread: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    force_spread: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def torque(self) -> np.ndarray:

@@ -85,11 +85,12 @@ def typical_sizes(model: mujoco.MjModel, data: list[Recording], horizon: float) 
     command = np.sqrt(np.mean(np.square(actions), 0)) if model.nu else np.zeros(0)
     dt = float(np.median(np.concatenate([np.diff(r.time) for r in data])))
     tiny = 1e-9
-    inertia, force = np.median(inertia, 0), np.sqrt(np.mean(np.square(force), 0))
+    inertia, usual = np.median(inertia, 0), np.sqrt(np.mean(np.square(force), 0))
     sizes = TypicalSizes(
-        dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, force + tiny, horizon
+        dt, inertia + tiny, speed + tiny, motion + tiny, widest + tiny, command + tiny, usual + tiny, horizon
     )
-    return replace(sizes, effort=np.max(effort, 0) + sizes.torque)
+    spreads = {"command_spread": np.abs(actions).std(0) + tiny, "force_spread": np.abs(force).std(0) + tiny}
+    return replace(sizes, effort=np.max(effort, 0) + sizes.torque, **spreads)
 
 
 def all_candidates(spec: mujoco.MjSpec, typical: TypicalSizes) -> list[Candidate]:

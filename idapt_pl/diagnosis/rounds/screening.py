@@ -212,7 +212,11 @@ class ScoreTest:
         return np.stack(columns, 1)
 
     def score(self, c: Candidate, starts: Sequence[np.ndarray | tuple[float, ...]], round: int) -> Trial:
-        """The better of a linear step from where it changes nothing, and of given places to start a fit from."""
+        """The better of a linear step from where it changes nothing, and of given places to start a fit from.
+
+        Near its nominal value a limit may change nothing at all. Then a place beyond the right one counts by the share
+        of its change that explains most.
+        """
         begin, change = self.standing(c)
         D = self.clear(kept_in_line(self.derivative(c, begin, at_x=change), len(self.split.windows)))
         left = self.left if change is None else self.left + self.clear(change.reshape(-1, 1))[:, 0]
@@ -224,7 +228,8 @@ class ScoreTest:
             secant = kept_in_line(secant[:, None], len(self.split.windows))[:, 0]
             size = float(secant @ secant)
             norm = np.maximum(norm, np.sqrt(size) * (np.abs(np.subtract(s, begin)) > 0) / 10)
-            removed = self.total - float(np.square(self.left + secant).sum())
+            share = 1.0 if D.any() or not size else float(np.clip(-self.left @ secant / size, 0.0, 1.0))
+            removed = self.total - float(np.square(self.left + share * secant).sum())
             if size > 1e-12 and removed > gain:
                 gain, x = removed, np.array(s, float)
         return Trial(c, round, gain / self.variance, (x,), rejection=self.objection(c, gain, norm))
