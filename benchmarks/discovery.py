@@ -16,9 +16,10 @@ images of the source, as G translates them. Writes results/discovery.csv.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,8 @@ CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
         "hinge damping": (JointDamping("hinge", 4.0),),
         "actuator gain": (ActuatorGain("slide", 0.6),),
         "action delay": (ActuatorDelay("slide", 0.04),),
+        "pole 50 kg and hinge damping": (BodyMass("pole", 50.0), JointDamping("hinge", 4.0)),
+        "actuator gain and action delay": (ActuatorGain("slide", 0.6), ActuatorDelay("slide", 0.04)),
     },
     "half_cheetah": {
         "nothing": (),
@@ -134,17 +137,24 @@ def record(run: Run, domain: Domain, path: Path, steps: int, seed: int) -> None:
         write_trajectories(path, collect(env, run.grounding.explore(seed), steps, seed, path.stem))
 
 
+def believed(result: ImageDiagnosis) -> list[tuple[str, str]]:
+    """Effects that are added, by name and target."""
+    return [(e.name, e.target) for e in result.effects]
+
+
 def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
     """Compare what was found with what was hidden."""
-    believed, rejected = ([(e.name, e.target) for e in es] for es in (result.effects, result.rejected))
-    doubted = [*rejected, *(e.key for e in result.negligible)]
-    found, disbelieved = (" + ".join(f"{name}({target})" for name, target in keys) for keys in (believed, doubted))
+    doubted = [*((e.name, e.target) for e in result.rejected), *(e.key for e in result.negligible)]
+    told = (believed(result), doubted)
+    found, disbelieved = (" + ".join(f"{name}({target})" for name, target in keys) for keys in told)
     row = {"found": found, "disbelieved": disbelieved}
     row |= {k: round(getattr(result, k), 3) for k in ("before", "after", "excess", "explained")}
     if "control" in result.removed:  # forecasts seek nothing there
         row |= {"removed_in_control": round(result.removed["control"], 3)}
     if not hidden:
         return row | {"right": int(not found)}
+    if len(hidden) > 1:
+        return row | score_several(result, hidden)
     truth = hidden[0]
     parameter, value = next((k, v) for k, v in truth.to_dict()["parameters"].items())
     row |= {"truth": value, "right": 0}
@@ -157,6 +167,24 @@ def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
                 low, high = p.ci95
                 row |= {"low": low, "high": high, "covered": int(low <= value <= high)}
     return row
+
+
+def score_several(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
+    """Right is who believes in as many effects as are hidden, each of them itself or as what it could also be."""
+    of = {e.key: e for e in result.estimates}
+    named = [{of[key].key, *((o["effect"], o["target"]) for o in of[key].equivalent)} for key in believed(result)]
+    wanted = [(e.name, e.target) for e in hidden]
+    matched = any(all(w in n for w, n in zip(order, named, strict=True)) for order in orders(wanted, len(named)))
+    values = [next(iter(e.to_dict()["parameters"].values())) for e in hidden]
+    estimates = [f"{next(iter(of[w].parameters.values())).estimate:.6g}" if w in of else "" for w in wanted]
+    return {
+        "truth": " + ".join(f"{v:g}" for v in values), "estimate": " + ".join(estimates), "right": int(matched)
+    }  # fmt: skip
+
+
+def orders(wanted: list[tuple[str, str]], named: int) -> Iterator[tuple[tuple[str, str], ...]]:
+    """All orders of what is hidden; none where another number of effects is named."""
+    return itertools.permutations(wanted) if len(wanted) == named else iter(())
 
 
 def main() -> None:
