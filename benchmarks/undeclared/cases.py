@@ -464,6 +464,7 @@ _add("quadrotor_rotor", ROTORS, hidden.motor_gain("back_left", 0.85), numerics=S
 _add("quadrotor_lag", ROTORS, hidden.command_lag("*", 0.04))
 _add("quadrotor_delay", ROTORS, hidden.command_delay(0.02), also=ALL_DELAY, numerics=SAME)
 _add("quadrotor_limit", ROTORS, hidden.command_limit("*", 2.6), numerics=SAME)
+_add("quadrotor_curve", ROTORS, hidden.command_curve("*", 0.5, 6.0), amplitude=1.5, numerics=SAME)
 _add("quadrotor_pull", ROTORS, hidden.external_force("frame", (0.3, 0.0, 0.0)), numerics=SAME)
 _add("quadrotor_rotor_and_lag", ROTORS, hidden.motor_gain("front_left", 0.85), hidden.command_lag("*", 0.04))
 _add("control_quadrotor", ROTORS, numerics=SAME)

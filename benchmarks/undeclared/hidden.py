@@ -457,6 +457,12 @@ def deadzone(actuator: str, width: float) -> Part:
     return Part(Truth("actuator_deadzone", actuator, "width", width), command=_pointwise(actuator, lose))
 
 
+def command_curve(actuator: str, share: float, full: float) -> Part:
+    """A share of what a command does goes with its square; nothing and a full one stay."""
+    truth = Truth("actuator_curve", actuator, "share", share)
+    return Part(truth, command=_pointwise(actuator, lambda u: u + share * (u * np.abs(u) / full - u)))
+
+
 def command_delay(delay: float) -> Part:
     """All commands arrive late, s; before the first one arrives the actuators are commanded zero."""
 

@@ -1,4 +1,4 @@
-"""Effects on actuators: gains, offsets, dead zones, saturation, crossed wires."""
+"""Effects on actuators: gains, offsets, dead zones, curves, saturation, crossed wires."""
 
 from __future__ import annotations
 
@@ -250,6 +250,35 @@ class ActuatorDeadzone(CommandEffect):
             starts = ((0.2 * usual,), (0.6 * usual,))
             singles.append(Candidate(cls, name, ("width",), (0.0,), (float(0.3 * usual),), starts))
         return with_shared(singles)
+
+
+@dataclass(frozen=True)
+class ActuatorCurve(CommandEffect):
+    """A share of what a command does goes with its square, as of propellers and valves; MJCF has no words for it.
+
+    u becomes (1 - share) u + share u |u| / full, so that nothing and a full command stay what they are: PX4's model of
+    thrust, where the share is ``THR_MDL_FAC``. With a share below 0 small commands do more.
+    """
+
+    name: ClassVar[str] = "actuator_curve"
+    phrase: ClassVar[str] = "curve of the commands to actuator"
+    in_mjcf: ClassVar[bool] = False
+    share: float = parameter("1", -1.0, 1.0)
+    full: float = parameter("command", 1e-6, UNLIMITED)
+
+    def law(self, values: np.ndarray) -> np.ndarray:
+        return (1 - self.share) * values + self.share * values * np.abs(values) / self.full
+
+    @classmethod
+    def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
+        """Of motors, not of servos, whose commands are positions or velocities."""
+        singles, names = [], dict(named_actuators(model))
+        for i in linear_actuators(model):
+            if i in names and not model.actuator_biasprm[i, 1:3].any():
+                limited = model.actuator_ctrllimited[i]
+                full = float(np.abs(model.actuator_ctrlrange[i]).max() if limited else 2 * typical.command[i])
+                singles.append(Candidate(cls, names[i], ("share",), (0.0,), (0.3,), fixed=(("full", full),)))
+        return singles if len({c.fixed for c in singles}) > 1 else with_shared(singles)
 
 
 @dataclass(frozen=True)

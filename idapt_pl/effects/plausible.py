@@ -173,6 +173,7 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_deadzone", "width"): Plausible(
         0.0, 0.5, "of the largest command", "a motor that ignores half of its commands is broken"
     ),
+    ("actuator_curve", "share"): Plausible(-1.0, 1.0, "", "beyond, more of a command does less"),
     ("actuator_saturation", "limit"): Plausible(
         0.1, np.inf, "of the largest command", "a motor that does a tenth of what it is told is broken"
     ),
@@ -216,13 +217,14 @@ RARITY = {
     "fluid_drag": 0.03,
     "joint_cogging": 0.03,
     "actuator_deadzone": 0.05,
+    "actuator_curve": 0.05,
     "actuator_rotation": 0.05,
     "shared_motor": 0.05,
 }
 """Share of its gain by which a rare cause must be better than a common one: such effects imitate much.
 
 Friction, masses, gains and delays are off on nearly every machine. Sensors that are, unseen hands, a medium that nobody
-knows of, motors deaf to small commands and crossed wires are not."""
+knows of, motors deaf to small commands, curved ones and crossed wires are not."""
 
 
 def plausible_range(effect: str, parameter: str, nominal: float) -> Plausible | None:

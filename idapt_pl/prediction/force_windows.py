@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from idapt_pl.effects.actuators import (
+    ActuatorCurve,
     ActuatorDeadzone,
     ActuatorGain,
     ActuatorSaturation,
@@ -27,7 +28,15 @@ from idapt_pl.prediction.whitening import WhitenedWindows
 OF_NO_INSTANT = (SensingEffect, SensorDelay, JointBacklash, Numerics)
 """Effects that no single instant shows: of sensors, of play in joints, of how equations are integrated."""
 
-SHRINKING = (ActuatorDeadzone, ActuatorGain, ActuatorSaturation, MotorConstant, MotorResistance, MotorStrength)
+SHRINKING = (
+    ActuatorCurve,
+    ActuatorDeadzone,
+    ActuatorGain,
+    ActuatorSaturation,
+    MotorConstant,
+    MotorResistance,
+    MotorStrength,
+)
 """Effects that would win by making torques small: where there are none, none is unexplained.
 
 Besides, torques of an arm that moves against its friction point the way it moves, and so does what a dead zone takes

@@ -31,6 +31,7 @@ CONFIRM = {
     "actuator_kp": "Read the gains from the drive; push the held joint with a known force and note how far it gives.",
     "actuator_kv": "Read the gains from the drive; give steps of several sizes.",
     "actuator_bias": "Send zero and watch; calibrate the zero of drive and encoder.",
+    "actuator_curve": "Command a staircase from nothing to full against a scale, and plot force over command.",
     "actuator_deadzone": "Ramp the command up from zero, both ways, and note where motion begins.",
     "actuator_saturation": "Ramp the command up against a stop; read the current limit of the drive.",
     "actuator_rotation": "Command one axis at a time and note which one moves.",

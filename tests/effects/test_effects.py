@@ -10,6 +10,7 @@ import yaml
 from idapt_pl.effects import EFFECTS, Domain, effect_from_dict
 from idapt_pl.effects.actuators import (
     ActuatorBias,
+    ActuatorCurve,
     ActuatorDeadzone,
     ActuatorGain,
     ActuatorKp,
@@ -105,6 +106,7 @@ EXAMPLES = [
     ActuatorLag("push", 0.03),
     ActuatorSaturation("push", 0.5),
     ActuatorSaturation("hold", force=0.5),
+    ActuatorCurve("push", 0.5, full=2.0),
     ActuatorDeadzone("push", 0.05),
     ExternalForce("block", x=1.0),
     JointCogging("hinge", 0.1),
@@ -153,6 +155,9 @@ def test_effect_survives_yaml_and_json(effect):
     assert effect_from_dict(json.loads(json.dumps(effect.to_dict()))) == effect
 
 
+BEYOND_MJCF = ForceEffect | SensingEffect | ActuatorCurve | ActuatorDeadzone | ActuatorRotation | SensorDelay
+
+
 @pytest.mark.parametrize("effect", EXAMPLES, ids=lambda e: e.name)
 def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nominal):
     once, again = compiled(effect), compiled(effect_from_dict(effect.to_dict()))
@@ -163,7 +168,7 @@ def test_effect_changes_the_model_the_same_way_from_its_dictionary(effect, nomin
     same_options = all(getattr(once.opt, n) == getattr(nominal.opt, n) for n in names)
     same_options &= once.opt.gravity.tolist() == nominal.opt.gravity.tolist()
     differs = bool(changed(nominal, once)) or headlight != nominal_headlight or not same_options
-    beyond_mjcf = isinstance(effect, ForceEffect | SensingEffect | ActuatorDeadzone | ActuatorRotation | SensorDelay)
+    beyond_mjcf = isinstance(effect, BEYOND_MJCF)
     beyond_mjcf = beyond_mjcf and not effect.constrains
     assert differs != beyond_mjcf, "an effect edits the MJCF, or is one that MJCF has no words for"
 

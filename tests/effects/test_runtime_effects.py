@@ -4,7 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.effects.actuators import ActuatorBias, ActuatorDeadzone, ActuatorRotation, ActuatorSaturation
+from idapt_pl.effects.actuators import (
+    ActuatorBias,
+    ActuatorCurve,
+    ActuatorDeadzone,
+    ActuatorRotation,
+    ActuatorSaturation,
+)
 from idapt_pl.effects.joints import JointCogging, JointStribeck
 from idapt_pl.effects.runtime import Command
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag, SensorBias, SensorDelay, SensorGain
@@ -26,6 +32,9 @@ def at(command, times, column=0):
         (ActuatorDeadzone("a", 0.3), -1.0, -0.7),
         (ActuatorDeadzone("a", 0.3), 0.2, 0.0),
         (ActuatorSaturation("a", 0.5), -1.0, -0.5),
+        (ActuatorCurve("a", 1.0, full=2.0), -1.0, -0.5),
+        (ActuatorCurve("a", 0.4, full=2.0), 1.0, 0.8),
+        (ActuatorCurve("a", 0.4, full=2.0), 2.0, 2.0),
     ],
 )
 def test_memoryless_laws(effect, before, after):

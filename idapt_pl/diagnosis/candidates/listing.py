@@ -31,6 +31,7 @@ external_force
 actuator_gain
 actuator_bias
 actuator_deadzone
+actuator_curve
 actuator_delay
 actuator_saturation.limit
 actuator_lag
