@@ -29,7 +29,7 @@ from idapt_pl.deployment_faults.mend import Mend, put
 from idapt_pl.deployment_faults.offsets import offset_interval, refine_offset, small_offset
 from idapt_pl.deployment_faults.sequence import SequenceFaults, find_sequence_faults, without_sequence_faults
 from idapt_pl.deployment_faults.stale import without_stale_rows
-from idapt_pl.deployment_faults.velocities import velocity_mend
+from idapt_pl.deployment_faults.velocities import floating_period, velocity_mend
 from idapt_pl.effects.own_signals import take_signals
 from idapt_pl.prediction.data import measured_signals
 from idapt_pl.prediction.model import name_elements, without_textures
@@ -164,12 +164,13 @@ def find_mend(
     """What makes forecasts surely and much better, one after the other; and what was taken for what else, in words."""
     progress("faults: velocities", 0.0)
     others: list[tuple[str, str]] = []
-    joints = search.forecaster.joints
-    if search.measured and len(moving := search.moving(mend)):
-        mend, others = velocity_mend(mend, search.forecaster.signals, joints, moving, search.best)
-        if mend.period != 1.0:
-            f = search.forecaster
-            search = FaultSearch.of(f.model, f.data, True, mend.period, 0)
+    f, moving = search.forecaster, search.moving(mend)
+    if search.measured and moving:
+        mend, others = velocity_mend(mend, f.signals, f.joints, moving, search.best)
+    elif search.measured:
+        mend = floating_period(mend, f.signals(mend), f.model)
+    if mend.period != 1.0:
+        search = FaultSearch.of(f.model, f.data, True, mend.period, 0)
     for round in range(MOST_ROUNDS):
         progress("faults: joints, commands", 0.01 + 0.005 * round)
         step = next_mend(search, mend)

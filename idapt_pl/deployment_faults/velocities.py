@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from idapt_pl.deployment_faults.forecast import Signals
 from idapt_pl.deployment_faults.hypotheses import Hypothesis
 from idapt_pl.deployment_faults.joints import ScalarJoints
-from idapt_pl.deployment_faults.kinematics import CLEAR, Agreement, compare_velocities
+from idapt_pl.deployment_faults.kinematics import CLEAR, Agreement, changes, compare_velocities, correlate
 from idapt_pl.deployment_faults.mend import Mend
 from idapt_pl.deployment_faults.units import ANGLES, LENGTHS, SPEEDS, nearest_unit, usual_period
 
@@ -82,11 +83,8 @@ def other_order(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list
 
 def one_factor(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[int]) -> list[Hypothesis]:
     """A ratio that all joints have in common: the control period, or a unit."""
-    ratios = found.ratio[found.clear]
-    if not len(ratios) or (ratios < 0).any():
-        return []
-    common = float(np.median(ratios))
-    if max(common, 1 / common) < OTHER_PERIOD or np.abs(np.log(ratios / common)).max() > np.log(ALIKE_RATIOS):
+    common = common_ratio(found.ratio[found.clear])
+    if common is None:
         return []
     made = [Hypothesis("control period", replace(mend, period=mend.period * usual_period(1 / common)))]
     velocities, positions = mend, mend
@@ -99,6 +97,26 @@ def one_factor(mend: Mend, found: Agreement, joints: ScalarJoints, moving: list[
     if positions != mend:
         made.append(Hypothesis("unit of the positions", positions))
     return made
+
+
+def common_ratio(ratios: np.ndarray) -> float | None:
+    """What ratios of velocities and slopes (n,) have in common; None where they are about 1, or differ."""
+    if not len(ratios) or (ratios < 0).any():
+        return None
+    common = float(np.median(ratios))
+    if max(common, 1 / common) < OTHER_PERIOD or np.abs(np.log(ratios / common)).max() > np.log(ALIKE_RATIOS):
+        return None
+    return common
+
+
+def floating_period(mend: Mend, signals: list[Signals], model: mujoco.MjModel) -> Mend:
+    """The control period with which bodies that nothing holds go as fast as they say, where no joint tells it."""
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    q, v = ([int(at[j]) + k for j in free for k in range(3)] for at in (model.jnt_qposadr, model.jnt_dofadr))
+    slope, speed = changes(signals, q, v, 0)
+    clear = np.diag(correlate(slope, speed)) > CLEAR
+    common = common_ratio(speed[:, clear].std(0) / slope[:, clear].std(0)) if clear.any() else None
+    return mend if common is None else replace(mend, period=mend.period * usual_period(1 / common))
 
 
 def like_factors(found: Agreement, joints: ScalarJoints, moving: list[int]) -> list[list[int]]:
