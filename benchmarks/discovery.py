@@ -159,7 +159,7 @@ def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
     parameter, value = next((k, v) for k, v in truth.to_dict()["parameters"].items())
     row |= {"truth": value, "right": 0}
     for e in result.estimates[:1]:
-        alternatives = [e.key, *((other["effect"], other["target"]) for other in e.equivalent)]
+        alternatives = [e.key, *((other.effect, other.target) for other in e.equivalent)]
         row["right"] = int((truth.name, truth.target) in alternatives)
         if p := e.parameters.get(parameter) if e.key == (truth.name, truth.target) else None:
             row["estimate"] = p.estimate
@@ -172,7 +172,7 @@ def score(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
 def score_several(result: ImageDiagnosis, hidden: tuple[Effect, ...]) -> dict:
     """Right is who believes in as many effects as are hidden, each of them itself or as what it could also be."""
     of = {e.key: e for e in result.estimates}
-    named = [{of[key].key, *((o["effect"], o["target"]) for o in of[key].equivalent)} for key in believed(result)]
+    named = [{of[key].key, *((o.effect, o.target) for o in of[key].equivalent)} for key in believed(result)]
     wanted = [(e.name, e.target) for e in hidden]
     matched = any(all(w in n for w, n in zip(order, named, strict=True)) for order in orders(wanted, len(named)))
     values = [next(iter(e.to_dict()["parameters"].values())) for e in hidden]
