@@ -57,7 +57,7 @@ CASES: dict[str, dict[str, tuple[Effect, ...]]] = {
         "hinge damping": (JointDamping("hinge", 4.0),),
         "actuator gain": (ActuatorGain("slide", 0.6),),
         "action delay": (ActuatorDelay("slide", 0.04),),
-        "pole 50 kg and hinge damping": (BodyMass("pole", 50.0), JointDamping("hinge", 4.0)),
+        "pole 50 kg and hinge damping": (BodyMass("pole", 50.0), JointDamping("hinge", 20.0)),
         "actuator gain and action delay": (ActuatorGain("slide", 0.6), ActuatorDelay("slide", 0.04)),
     },
     "half_cheetah": {
