@@ -199,8 +199,8 @@ class ActuatorKv(Effect):
         return with_shared(singles)
 
 
-UNLIMITED = 1e6
-"""A limit that is none."""
+UNLIMITED, NO_COMMAND = 1e6, 1e-6
+"""A limit that is none, and a largest command that is none."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ class ActuatorCurve(CommandEffect):
     phrase: ClassVar[str] = "curve of the commands to actuator"
     in_mjcf: ClassVar[bool] = False
     share: float = parameter("1", -1.0, 1.0)
-    full: float = parameter("command", 1e-6, UNLIMITED)
+    full: float = parameter("command", NO_COMMAND, UNLIMITED)
 
     def law(self, values: np.ndarray) -> np.ndarray:
         return (1 - self.share) * values + self.share * values * np.abs(values) / self.full
@@ -277,7 +277,8 @@ class ActuatorCurve(CommandEffect):
             if i in names and not model.actuator_biasprm[i, 1:3].any():
                 limited = model.actuator_ctrllimited[i]
                 full = float(np.abs(model.actuator_ctrlrange[i]).max() if limited else 2 * typical.command[i])
-                singles.append(Candidate(cls, names[i], ("share",), (0.0,), (0.3,), fixed=(("full", full),)))
+                if full >= NO_COMMAND:
+                    singles.append(Candidate(cls, names[i], ("share",), (0.0,), (0.3,), fixed=(("full", full),)))
         return singles if len({c.fixed for c in singles}) > 1 else with_shared(singles)
 
 

@@ -557,6 +557,13 @@ def test_a_weak_motor_gives_less_of_all_that_its_servo_asks_for(nominal):
     assert named == ["hold"] and not MotorStrength.candidates(nominal, None)
 
 
+def test_a_motor_that_was_never_commanded_has_no_curve(nominal):
+    nu, nv = np.ones(nominal.nu), np.ones(nominal.nv)
+    for commands, found in ((nu, ["push"]), (1e-9 * nu, [])):
+        typical = TypicalSizes(0.02, nv, nv, nv, nv, commands, nu, 0.2)
+        assert [c.target for c in ActuatorCurve.candidates(nominal, typical)] == found
+
+
 def test_what_mjcf_cannot_say_of_a_dcmotor_is_not_written_into_its_other_numbers(nominal):
     for effect in (ActuatorBias("*", 0.1), ActuatorKv("*", 0.3)):
         after = compiled(effect).actuator("dc")
