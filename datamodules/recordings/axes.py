@@ -85,19 +85,22 @@ def no_rotation(quaternions: np.ndarray) -> int | None:
     return int(wrong[0]) if len(wrong) else None
 
 
-def parse_axes(key: str, value: object, columns: int) -> Axes:
+def parse_axes(key: str, value: object, columns: int, velocities: int | None) -> Axes:
     """What a map says of a joint's axes.
 
     Args:
         key: in the map, for messages.
         value: of the key.
         columns: of the joint's position.
+        velocities: columns of its velocity; None if it has none.
 
     Raises:
         RecordingError: naming the key, what was expected and what came.
     """
     if columns not in (4, 7):
         raise RecordingError(f"{key}: axes are of ball and free joints, which take 4 or 7 columns; got {columns}")
+    if velocities not in (None, columns - 1):
+        raise RecordingError(f"{key}: expected {columns - 1} columns of the velocity beside it, got {velocities}")
     if not isinstance(value, dict):
         raise RecordingError(f"{key}: expected keys among {', '.join(AXES_KEYS)}; got {value!r}")
     said: dict[str, str] = {}

@@ -190,13 +190,13 @@ def check_velocities(imported: Imported, mapping: Mapping) -> tuple[str, ...]:
     times = [np.arange(len(e) + 1) * dt if e.timestamps is None else e.timestamps for e in episodes]
     longest = max(range(len(episodes)), key=lambda i: len(episodes[i]))
     notes, q, v = [], 0, 0
-    for name, joint in mapping.joints.items():
-        nq, nv = next((w for w in WIDTHS.values() if w[0] == len(joint.position.columns)), (1, 1))
+    for (name, joint), velocity in zip(mapping.joints.items(), mapping.velocities, strict=True):
+        nq, nv = (max(len(channel.columns), 1) for channel in (joint.position, velocity))
         positions = [e.observations["qpos"][:, q : q + nq] for e in episodes]
         velocities = [e.observations["qvel"][:, v : v + nv] for e in episodes]
-        if nq > 1:
+        if nq > 1 and (nq, nv) in WIDTHS.values():
             notes += floating_doubts(name, positions[longest], velocities[longest], times[longest])
-        else:
+        elif nq == nv:
             slopes = [np.gradient(p[:, 0], t) for p, t in zip(positions, times, strict=True)]
             notes += _velocity_doubts(name, np.concatenate(slopes), np.concatenate(velocities)[:, 0])
         q, v = q + nq, v + nv

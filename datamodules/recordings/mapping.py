@@ -291,7 +291,8 @@ def _joint(key: str, value: Any) -> Joint:
             f"{key}: the position is in {position.unit.name} and the velocity in {velocity.unit.name}; "
             "expected both to be of a hinge (angles) or of a slide (lengths)"
         )
-    axes = parse_axes(f"{key}.axes", entry["axes"], len(position.columns)) if "axes" in entry else None
+    widths = len(position.columns), None if velocity is None else len(velocity.columns)
+    axes = parse_axes(f"{key}.axes", entry["axes"], *widths) if "axes" in entry else None
     return Joint(position, velocity, axes)
 
 

@@ -139,6 +139,21 @@ def test_mistakes_in_axes_are_named(axes, message):
         parse_mapping(mapped(axes))
 
 
+def test_velocities_have_the_width_of_the_joint():
+    content = mapped({"world": "ned"})
+    content["joints"]["root"]["velocity"] = {"column": ["vx", "vy", "vz"]}
+    with pytest.raises(RecordingError, match=r"joints.root.axes: expected 6 columns of the velocity beside it, got 3"):
+        parse_mapping(content)
+
+
+def test_without_a_model_other_widths_are_kept_as_they_are(flight, tmp_path):
+    content = mapped()
+    content["joints"]["root"]["velocity"] = {"column": ["wx", "wy", "wz"]}
+    path = write_csv(tmp_path / "flight.csv", as_written(flight))
+    (episode,) = import_recordings([path], parse_mapping(content)).trajectories
+    assert episode.observations["qpos"].shape[1:] == (7,) and episode.observations["qvel"].shape[1:] == (3,)
+
+
 def test_a_hinge_has_no_axes():
     joints = {"hip": {"position": "q", "axes": {"world": "ned"}}}
     with pytest.raises(RecordingError, match=r"joints.hip.axes: axes are of ball and free joints"):
