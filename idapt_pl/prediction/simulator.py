@@ -49,6 +49,9 @@ FORCE_HOLD = 1e-3
 LAW_HOLD = 2e-3
 """The same of learned laws, which are smooth [s]."""
 
+DIRECTIONS = ("x", "y", "z", "about x", "about y", "about z")
+"""In which a free joint moves, by the world's axes, and turns, by the body's; a ball joint has the last three."""
+
 # A candidate may well be unstable: its prediction is then useless, which is all there is to say about it.
 # A C function is called without Python's lock, so this is safe from the stepping threads.
 _SILENCE = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_char_p)(("strlen", ctypes.CDLL(None)))
@@ -124,7 +127,7 @@ class Simulator:
         for j in range(m.njnt):
             kind, name = m.jnt_type[j], m.joint(j).name or f"joint {j}"
             size = {0: 6, 1: 3}.get(int(kind), 1)
-            names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+            names += [name] if size == 1 else [f"{name} {axis}" for axis in DIRECTIONS[-size:]]
         return names + [f"{n} velocity" for n in names] * self.velocities
 
     def compile(self, effects: Effects) -> mujoco.MjModel:

@@ -19,3 +19,15 @@ def test_without_noise_the_right_model_predicts_the_recording():
     assert np.abs(sim.residual((), windows)).max() < 1e-5  # actions are float32
     late = sim.residual((ActuatorDelay("*", 0.01),), windows)
     assert np.abs(late).max() > 1e-3
+
+
+def test_channels_of_what_floats_say_which_way():
+    xml = """<mujoco><worldbody><body><freejoint name="base"/><geom size="0.1"/>
+      <body><joint name="hip"/><geom size="0.1"/><body><joint name="wrist" type="ball"/><geom size="0.1"/></body></body>
+    </body></worldbody></mujoco>"""
+    data = record(xml, episodes=1)
+    names = Simulator(
+        mujoco.MjSpec.from_string(xml), *as_recordings(mujoco.MjModel.from_xml_string(xml), data)
+    ).channels
+    assert names[:7] == ["base x", "base y", "base z", "base about x", "base about y", "base about z", "hip"]
+    assert names[7:10] == ["wrist about x", "wrist about y", "wrist about z"] and names[10] == "base x velocity"
