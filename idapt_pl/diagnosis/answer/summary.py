@@ -28,7 +28,8 @@ from idapt_pl.diagnosis.answer.verdict import decide, removed_share
 from idapt_pl.diagnosis.candidates.trial import Rejection, RejectionReason, Trial
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
-from idapt_pl.effects.actuators import MotorResistance
+from idapt_pl.effects.actuators import ActuatorKv, MotorResistance
+from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.effects.wording import unit_at
 from idapt_pl.effects.world import Numerics
@@ -170,10 +171,33 @@ def inseparable(model: mujoco.MjModel, a: AcceptedEffect) -> list[Alternative]:
     if a.candidate.kind is MotorResistance:
         why = "a gain of a direct-current motor is one over its resistance"
         return [Alternative("actuator_gain", a.candidate.target, {"gain": significant(1 / a.x[0], 6)}, why)]
+    if a.candidate.kind in (ActuatorKv, JointDamping):
+        known = {(t.candidate.kind.name, t.candidate.target) for t in a.equivalent}
+        return [o for o in braked_alike(model, a) if (o.effect, o.target) not in known]
     if a.candidate.kind is not ActuatorDelay or not (a.candidate.target == "*" or model.nu == 1):
         return []
     why = "measurements that are late and commands that are late are the same once an episode is under way"
     return [Alternative("sensor_delay", "*", {"delay": significant(a.x[0], 6)}, why)]
+
+
+def braked_alike(model: mujoco.MjModel, a: AcceptedEffect) -> list[Alternative]:
+    """The damping of a joint for what its servo feeds back of velocities, and the other way round.
+
+    None where forces are limited, which cuts off the one alone, or where Euler's method integrates them differently.
+    """
+    implicit = model.opt.integrator in (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    for i in range(model.nu if implicit and a.candidate.target != "*" else 0):
+        j, kv, gear = int(model.actuator_trnid[i, 0]), -float(model.actuator_biasprm[i, 2]), model.actuator_gear[i, 0]
+        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT or kv <= 0 or model.actuator_forcelimited[i]:
+            continue
+        own = float(np.ravel(model.dof_damping[model.jnt_dofadr[j]])[0])
+        damping = "joint_damping", model.joint(j).name, "damping", own + (a.x[0] - kv) * gear**2
+        feedback = "actuator_kv", model.actuator(i).name, "kv", kv + (a.x[0] - own) / gear**2
+        this, other = (feedback, damping) if a.candidate.kind is ActuatorKv else (damping, feedback)
+        if this[1] == a.candidate.target and model.jnt_type[j] >= 2 and other[3] >= 0:
+            why = "what brakes a joint and what its servo feeds back of its velocity are one force"
+            return [Alternative(other[0], other[1], {other[2]: significant(other[3], 6)}, why)]
+    return []
 
 
 def found_numerics(context: SearchContext, state: SearchState) -> list[EffectEstimate]:
