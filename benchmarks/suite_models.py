@@ -82,7 +82,8 @@ def hide(model: mujoco.MjModel, what: str, rng: np.random.Generator) -> tuple[st
         if model.actuator_biastype[a] == int(mujoco.mjtBias.mjBIAS_AFFINE):  # a servo
             model.actuator_gainprm[a] *= 0.75
             model.actuator_biasprm[a] *= 0.75
-            return "actuator_kp", model.actuator(a).name, 0.75
+            effect = "motor_strength" if model.actuator_biasprm[a, 2] else "actuator_kp"  # one without velocities
+            return effect, model.actuator(a).name, 0.75
         model.actuator_gear[a] *= 0.75
         return "actuator_gain", model.actuator(a).name, 0.75
     return "", "", 0.0

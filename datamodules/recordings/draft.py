@@ -141,9 +141,10 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
             draft.positions[joint.name] = Line(None, f"a {joint.type} joint takes a list of columns, see the guide")
             continue
         _add_joint(draft, recorded, joint, positions.get(joint.name), velocities.get(joint.name), times, free)
-    draft.actuators = {a.name: _command(recorded, a, commands.get(a.name)) for a in model.actuators}
     if floating and len(floating.motors) == len(model.actuators):
         draft.actuators = {a.name: _motor(a, c) for a, c in zip(model.actuators, floating.motors, strict=True)}
+    else:
+        draft.actuators = {a.name: _command(recorded, a, commands.get(a.name)) for a in model.actuators}
     for lines in (draft.positions, draft.velocities, draft.actuators):
         lines |= {name: _held(line, empty) for name, line in lines.items()}
     draft.episodes = _episodes(recorded, rows)

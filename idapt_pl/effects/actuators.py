@@ -152,12 +152,9 @@ class MotorStrength(Effect):
 
     def apply(self, spec: mujoco.MjSpec) -> None:
         for actuator in find_elements(spec, "actuators", self.target):
-            if actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
-                continue  # its back-EMF is of the same constant: see MotorConstant
-            if actuator.gaintype == mujoco.mjtGain.mjGAIN_MUSCLE:
-                actuator.gainprm[PEAK_FORCE] *= self.factor
-                actuator.biasprm[PEAK_FORCE] *= self.factor
-            elif self.target != "*" or actuator.biasprm[2]:
+            if actuator.gaintype in (mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_MUSCLE):
+                continue  # their numbers are other things: see MotorConstant and ActuatorGain
+            if self.target != "*" or actuator.biasprm[2]:
                 actuator.gainprm[:3] = self.factor * np.asarray(actuator.gainprm[:3])
                 actuator.biasprm[:3] = self.factor * np.asarray(actuator.biasprm[:3])
 

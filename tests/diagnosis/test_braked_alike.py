@@ -42,10 +42,14 @@ def swing(effect):
 @pytest.mark.parametrize(("candidate", "value"), [(KV, 0.8), (KV, 0.48), (DAMPING, 1.4), (DAMPING, 0.0)])
 def test_one_force_has_two_names(candidate, value):
     model = mujoco.MjModel.from_xml_string(SERVO)
-    (other,) = inseparable(model, accepted(candidate, value))
+    (twin,) = inseparable(model, accepted(candidate, value))
+    other = twin.other
     kind = {"actuator_kv": ActuatorKv, "joint_damping": JointDamping}[other.effect]
     itself, same = swing(candidate.effect([value])), swing(kind(other.target, *other.parameters.values()))
     np.testing.assert_allclose(same, itself, atol=1e-9)
+    own = {ActuatorKv: 0.5, JointDamping: 0.2}[kind]
+    by = (other.parameters[next(iter(other.parameters))] - own) / (value - candidate.nominal[0])
+    assert twin.nominal == own and twin.scale == pytest.approx(by * candidate.scale[0])
     assert kind is not candidate.kind and np.abs(itself - swing(JointDamping("hip", 0.2))).max() > 1e-3
 
 
@@ -55,11 +59,20 @@ def test_one_force_has_two_names(candidate, value):
         (0.3, ("", "")),  # a damping below 0 would have to make up for it
         (0.8, ('integrator="implicitfast"', "")),
         (0.8, ('kv="0.5"', 'kv="0.5" forcelimited="true" forcerange="-1 1"')),
+        (0.8, ('damping="0.2"', 'damping="0.2" actuatorfrclimited="true" actuatorfrcrange="-1 1"')),
     ],
 )
 def test_nothing_else_is_told_where_they_are_not_one(value, change):
     model = mujoco.MjModel.from_xml_string(SERVO.replace(*change) if change[0] else SERVO)
     assert inseparable(model, accepted(KV, value)) == []
+
+
+def test_a_joint_without_damping_of_its_own_has_the_other_name_too():
+    """Nothing is divided by a nominal value that is 0."""
+    model = mujoco.MjModel.from_xml_string(SERVO.replace('damping="0.2"', ""))
+    undamped = Candidate(JointDamping, "hip", ("damping",), (0.0,), (0.5,))
+    (twin,) = inseparable(model, accepted(undamped, 0.8))
+    assert twin.other.parameters == {"kv": 0.7} and (twin.nominal, twin.scale) == (0.5, 0.125)
 
 
 def test_what_was_found_to_be_as_good_is_told_once():

@@ -7,8 +7,8 @@ import pytest
 
 from idapt_pl.diagnosis.answer.explanation import ExplainingEffect, Explanation, Standing
 from idapt_pl.diagnosis.answer.probabilities import probabilities
-from idapt_pl.diagnosis.answer.remaining import JudgedExplanation, with_alternative, with_probabilities
-from idapt_pl.diagnosis.answer.result import Alternative
+from idapt_pl.diagnosis.answer.remaining import JudgedExplanation, with_probabilities, with_twin
+from idapt_pl.diagnosis.answer.summary import inseparable
 from idapt_pl.effects.actuators import MotorResistance
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
@@ -24,9 +24,8 @@ def test_late_measurements_take_the_place_of_late_commands_with_the_same_number(
     found = Explanation(
         Standing.FOUND, "", (ExplainingEffect(ActuatorDelay("*", 0.016), {"delay": (0.0, 0.02)}), DAMPING), 0.8, 0.5
     )
-    a = SimpleNamespace(candidate=delay, x=np.array([0.016]))
-    other = Alternative("sensor_delay", "*", {"delay": 0.016}, "")
-    same = with_alternative(JudgedExplanation(found, np.ones(3)), 1, a, other).value
+    (twin,) = inseparable(None, SimpleNamespace(candidate=delay, x=np.array([0.016])))
+    same = with_twin(JudgedExplanation(found, np.ones(3)), 1, twin).value
     assert [(e.effect.name, e.free) for e in same.effects] == [
         ("sensor_delay", {"delay": (0.0, 0.02)}), ("joint_damping", DAMPING.free)
     ]  # fmt: skip
@@ -42,9 +41,8 @@ def test_a_gain_takes_the_place_of_a_resistance_with_one_over_its_number():
         0.8,
         0.5,
     )
-    a = SimpleNamespace(candidate=resistance, x=np.array([1.6]))
-    other = Alternative("actuator_gain", "knee", {"gain": 0.625}, "")
-    same = with_alternative(JudgedExplanation(found, np.ones(3)), 0, a, other).value
+    (twin,) = inseparable(None, SimpleNamespace(candidate=resistance, x=np.array([1.6])))
+    same = with_twin(JudgedExplanation(found, np.ones(3)), 0, twin).value
     assert same.effects[0] is DAMPING and same.effects[1].effect.gain == 0.625
     nominal, scale = same.effects[1].free["gain"]
     assert (nominal, scale) == pytest.approx((1.0, 0.2 * 0.625**2))

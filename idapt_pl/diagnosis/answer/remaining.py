@@ -33,6 +33,15 @@ class JudgedExplanation:
     losses: np.ndarray
 
 
+@dataclass(frozen=True)
+class Twin:
+    """What is the same as an effect by construction, and the nominal value and scale of its one parameter."""
+
+    other: Alternative
+    nominal: float
+    scale: float
+
+
 def describe_measurement(context: SearchContext, state: SearchState) -> Measurement:
     """How the recordings were measured and judged."""
     sim, noise = context.sim, state.windows.noise
@@ -46,7 +55,7 @@ def describe_measurement(context: SearchContext, state: SearchState) -> Measurem
 
 
 def remaining_explanations(
-    context: SearchContext, state: SearchState, inseparable: Sequence[tuple[AcceptedEffect, Alternative]]
+    context: SearchContext, state: SearchState, inseparable: Sequence[tuple[AcceptedEffect, Twin]]
 ) -> list[Explanation]:
     """What was found, then every explanation in which one of its effects gives way to one that does as well.
 
@@ -60,7 +69,7 @@ def remaining_explanations(
     left = context.loss(state.windows.held_out, state.effects)
     found = explanation(context, state.fixed, state.candidates, state.estimates, "", Standing.FOUND, left)
     last = {id(a): i for i, a in enumerate(reversed(state.accepted))}
-    same = [with_alternative(found, last[id(a)], a, other) for a, other in inseparable]
+    same = [with_twin(found, last[id(a)], twin) for a, twin in inseparable]
     rivals = (e for a in state.accepted for e in explanations_with_rivals(context, state, a, float(left.mean())))
     return with_probabilities(context, state, [found, *same, *rivals])
 
@@ -123,24 +132,19 @@ def free_parameters(c: Candidate) -> dict[str, tuple[float, float]]:
     return {name: (float(nominal), float(scale)) for name, nominal, scale in rows}
 
 
-def with_alternative(
-    found: JudgedExplanation, from_last: int, a: AcceptedEffect, other: Alternative
-) -> JudgedExplanation:
+def with_twin(found: JudgedExplanation, from_last: int, twin: Twin) -> JudgedExplanation:
     """The explanation found, with what is the same by construction in place of an effect.
 
     Args:
         found: its last effects are those that were fitted, in their order.
         from_last: how many of them follow the one in question.
-        a: the effect.
-        other: of one parameter too: the same number, or one over it.
+        twin: of that effect.
     """
+    other = twin.other
     new = effect_from_dict({"effect": other.effect, "target": other.target, "parameters": other.parameters})
-    ((nominal, scale),) = free_parameters(a.candidate).values()
-    ((name, value),) = other.parameters.items()
-    if not np.isclose(value, a.x[0], rtol=1e-4):  # one over it, and so much as its scale is then
-        nominal, scale = 1 / nominal, scale * value**2
+    (name,) = other.parameters
     effects = list(found.value.effects)
-    effects[len(effects) - 1 - from_last] = ExplainingEffect(new, {name: (nominal, scale)})
+    effects[len(effects) - 1 - from_last] = ExplainingEffect(new, {name: (twin.nominal, twin.scale)})
     label = f"{other.effect}({other.target})"
     instead = replace(found.value, standing=Standing.EQUIVALENT, instead=label, effects=tuple(effects))
     return JudgedExplanation(instead, found.losses)

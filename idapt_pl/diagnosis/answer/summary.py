@@ -12,7 +12,7 @@ from idapt_pl.diagnosis.answer.advice import next_experiment
 from idapt_pl.diagnosis.answer.black_box import predictable_share
 from idapt_pl.diagnosis.answer.equivalents import with_equivalents_of_now
 from idapt_pl.diagnosis.answer.false_discoveries import effect_probabilities
-from idapt_pl.diagnosis.answer.remaining import describe_measurement, remaining_explanations
+from idapt_pl.diagnosis.answer.remaining import Twin, describe_measurement, remaining_explanations
 from idapt_pl.diagnosis.answer.result import (
     Alternative,
     ChannelError,
@@ -28,7 +28,7 @@ from idapt_pl.diagnosis.answer.verdict import decide, removed_share
 from idapt_pl.diagnosis.candidates.trial import Rejection, RejectionReason, Trial
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
-from idapt_pl.effects.actuators import ActuatorKv, MotorResistance
+from idapt_pl.effects.actuators import ActuatorKv, MotorResistance, linear_actuators
 from idapt_pl.effects.joints import JointDamping
 from idapt_pl.effects.signals import ActuatorDelay
 from idapt_pl.effects.wording import unit_at
@@ -65,7 +65,7 @@ def summarise_search(context: SearchContext, state: SearchState, trials: Sequenc
         unexplained=unexplained_force_of(context, state),
     )
     explanations = remaining_explanations(
-        context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.model, a)]
+        context, state, [(a, q) for a in state.accepted for q in inseparable(context.sim.compile(state.fixed), a)]
     )
     probable = effect_probabilities(explanations)
     estimates = [
@@ -131,6 +131,7 @@ def estimate_of(
     """One accepted effect."""
     held_out, c = state.windows.held_out, a.candidate
     error, without = (context.loss(held_out, s.effects).mean() for s in (state, state.without(a)))
+    twins = inseparable(context.sim.compile(state.fixed), a)
     return EffectEstimate(
         effect=c.kind.name,
         target=c.target,
@@ -138,7 +139,7 @@ def estimate_of(
         fixed=dict(c.fixed),
         error_after=round(float(np.sqrt(error)), 4),
         error_without=round(float(np.sqrt(without)), 4),
-        equivalent=(*map(alternative, a.equivalent), *inseparable(context.sim.model, a)),
+        equivalent=(*map(alternative, a.equivalent), *(t.other for t in twins)),
         implausible=a.implausible,
         probability=probability,
     )
@@ -166,37 +167,48 @@ def alternative(t: Trial) -> Alternative:
     return Alternative(t.candidate.kind.name, t.candidate.target, named_values(t), why)
 
 
-def inseparable(model: mujoco.MjModel, a: AcceptedEffect) -> list[Alternative]:
+def inseparable(model: mujoco.MjModel, a: AcceptedEffect) -> list[Twin]:
     """What is the same as an effect by construction, whatever the data."""
-    if a.candidate.kind is MotorResistance:
+    c, x = a.candidate, float(a.x[0])
+    if c.kind is MotorResistance:
         why = "a gain of a direct-current motor is one over its resistance"
-        return [Alternative("actuator_gain", a.candidate.target, {"gain": significant(1 / a.x[0], 6)}, why)]
-    if a.candidate.kind in (ActuatorKv, JointDamping):
+        other = Alternative("actuator_gain", c.target, {"gain": significant(1 / x, 6)}, why)
+        return [Twin(other, 1 / c.nominal[0], c.scale[0] / x**2)]
+    if c.kind in (ActuatorKv, JointDamping):
         known = {(t.candidate.kind.name, t.candidate.target) for t in a.equivalent}
-        return [o for o in braked_alike(model, a) if (o.effect, o.target) not in known]
-    if a.candidate.kind is not ActuatorDelay or not (a.candidate.target == "*" or model.nu == 1):
+        return [t for t in braked_alike(model, a) if (t.other.effect, t.other.target) not in known]
+    if c.kind is not ActuatorDelay or not (c.target == "*" or model.nu == 1):
         return []
     why = "measurements that are late and commands that are late are the same once an episode is under way"
-    return [Alternative("sensor_delay", "*", {"delay": significant(a.x[0], 6)}, why)]
+    return [Twin(Alternative("sensor_delay", "*", {"delay": significant(x, 6)}, why), c.nominal[0], c.scale[0])]
 
 
-def braked_alike(model: mujoco.MjModel, a: AcceptedEffect) -> list[Alternative]:
+def braked_alike(model: mujoco.MjModel, a: AcceptedEffect) -> list[Twin]:
     """The damping of a joint for what its servo feeds back of velocities, and the other way round.
 
     None where forces are limited, which cuts off the one alone, or where Euler's method integrates them differently.
     """
     implicit = model.opt.integrator in (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    for i in range(model.nu if implicit and a.candidate.target != "*" else 0):
-        j, kv, gear = int(model.actuator_trnid[i, 0]), -float(model.actuator_biasprm[i, 2]), model.actuator_gear[i, 0]
-        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT or kv <= 0 or model.actuator_forcelimited[i]:
+    c, of_damping = a.candidate, a.candidate.kind is JointDamping
+    why = "what brakes a joint and what its servo feeds back of its velocity are one force"
+    for i in linear_actuators(model) if implicit else ():
+        j, kv, of_damping = (
+            int(model.actuator_trnid[i, 0]),
+            -float(model.actuator_biasprm[i, 2]),
+            c.kind is JointDamping,
+        )
+        on_joint = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_type[j] >= 2
+        if not on_joint or kv <= 0 or model.actuator_forcelimited[i] or model.jnt_actfrclimited[j]:
             continue
+        joint, actuator, gear = model.joint(j).name, model.actuator(i).name, float(model.actuator_gear[i, 0])
         own = float(np.ravel(model.dof_damping[model.jnt_dofadr[j]])[0])
-        damping = "joint_damping", model.joint(j).name, "damping", own + (a.x[0] - kv) * gear**2
-        feedback = "actuator_kv", model.actuator(i).name, "kv", kv + (a.x[0] - own) / gear**2
-        this, other = (feedback, damping) if a.candidate.kind is ActuatorKv else (damping, feedback)
-        if this[1] == a.candidate.target and model.jnt_type[j] >= 2 and other[3] >= 0:
-            why = "what brakes a joint and what its servo feeds back of its velocity are one force"
-            return [Alternative(other[0], other[1], {other[2]: significant(other[3], 6)}, why)]
+        nominal, ratio = (kv, 1 / gear**2) if of_damping else (own, gear**2)
+        value = nominal + (float(a.x[0]) - (own if of_damping else kv)) * ratio
+        if c.target == (joint if of_damping else actuator) and value >= 0:
+            effect, target, name = (
+                ("actuator_kv", actuator, "kv") if of_damping else ("joint_damping", joint, "damping")
+            )
+            return [Twin(Alternative(effect, target, {name: significant(value, 6)}, why), nominal, c.scale[0] * ratio)]
     return []
 
 
