@@ -24,8 +24,13 @@ AXES_KEYS = {
     "body": (*ABOUT_X, "frd", "flu"),
     "linear": ("world", "body"),
     "angular": ("body", "world"),
+    "rates": ("rad/s", "deg/s"),
+    "angles": ("rad", "deg"),
+    "pitch": ("about_y", "reversed"),
 }
-"""What a map may say; MuJoCo's own come first."""
+"""What a map may say; MuJoCo's own come first, and no angles."""
+ANGLES = 3
+"""Roll, pitch and yaw stand in place of a quaternion's 4 columns."""
 NO_ROTATION = 0.05
 """A quaternion's length may differ from 1 by this."""
 
@@ -39,15 +44,33 @@ class Axes:
         body: the body's, likewise.
         linear: whose axes the linear velocity is in.
         angular: whose the angular velocity is in.
+        rates: its unit.
+        angles: unit of roll, pitch and yaw in place of a quaternion; empty where there is one.
+        pitch: ``reversed`` if it grows against the right hand about y.
     """
 
     world: str = "z_up"
     body: str = "z_up"
     linear: str = "world"
     angular: str = "body"
+    rates: str = "rad/s"
+    angles: str = ""
+    pitch: str = "about_y"
+
+    def with_quaternions(self, recorded: np.ndarray) -> np.ndarray:
+        """Rows (n, 7) or (n, 4), of rows that may have roll, pitch and yaw, (n, 6) or (n, 3), as in aircraft.
+
+        The body is turned about its z by yaw, then about its new y by pitch, then about its new x by roll.
+        """
+        if not self.angles:
+            return recorded
+        roll, pitch, yaw = recorded[:, -ANGLES:].T
+        turned = np.column_stack([yaw, -pitch if self.pitch == "reversed" else pitch, roll])
+        quaternions = Rotation.from_euler("ZYX", turned, degrees=self.angles == "deg").as_quat()
+        return np.hstack([recorded[:, :-ANGLES], np.roll(quaternions, 1, axis=1)])
 
     def position(self, recorded: np.ndarray) -> np.ndarray:
-        """Rows (n, 7) of a free joint, or (n, 4) of a ball joint, in MuJoCo's axes."""
+        """Rows (n, 7) of a free joint, or (n, 4) of a ball joint, in MuJoCo's axes; with quaternions."""
         place, turned = recorded[:, :-4], into_z_up(self.world) * rotations(recorded) * into_z_up(self.body).inv()
         quaternions = np.roll(turned.as_quat(), 1, axis=1)
         if place.size:
@@ -55,10 +78,11 @@ class Axes:
         return np.hstack([place, in_a_row(quaternions)])
 
     def velocity(self, recorded: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Rows (n, 6) of a free joint, or (n, 3) of a ball joint, in MuJoCo's axes; positions are as recorded."""
+        """Rows (n, 6) of a free joint, or (n, 3) of a ball joint, in MuJoCo's axes; positions have quaternions."""
         linear, angular, out_of_body = recorded[:, :-3], recorded[:, -3:], rotations(positions)
         if linear.size:
             linear = into_z_up(self.world).apply(out_of_body.apply(linear) if self.linear == "body" else linear)
+        angular = np.radians(angular) if self.rates == "deg/s" else angular
         angular = out_of_body.apply(angular, inverse=True) if self.angular == "world" else angular
         return np.hstack([linear, into_z_up(self.body).apply(angular)])
 
@@ -85,6 +109,11 @@ def no_rotation(quaternions: np.ndarray) -> int | None:
     return int(wrong[0]) if len(wrong) else None
 
 
+def has_angles(axes: object) -> bool:
+    """Whether a map's ``axes`` say that a joint has roll, pitch and yaw."""
+    return isinstance(axes, dict) and "angles" in axes
+
+
 def parse_axes(key: str, value: object, columns: int, velocities: int | None) -> Axes:
     """What a map says of a joint's axes.
 
@@ -97,12 +126,15 @@ def parse_axes(key: str, value: object, columns: int, velocities: int | None) ->
     Raises:
         RecordingError: naming the key, what was expected and what came.
     """
-    if columns not in (4, 7):
-        raise RecordingError(f"{key}: axes are of ball and free joints, which take 4 or 7 columns; got {columns}")
-    if velocities not in (None, columns - 1):
-        raise RecordingError(f"{key}: expected {columns - 1} columns of the velocity beside it, got {velocities}")
     if not isinstance(value, dict):
         raise RecordingError(f"{key}: expected keys among {', '.join(AXES_KEYS)}; got {value!r}")
+    angles = has_angles(value)
+    if columns not in ((3, 6) if angles else (4, 7)):
+        takes = "3 or 6 columns with roll, pitch and yaw" if angles else "4 or 7 columns"
+        raise RecordingError(f"{key}: axes are of ball and free joints, which take {takes}; got {columns}")
+    moves = columns if angles else columns - 1
+    if velocities not in (None, moves):
+        raise RecordingError(f"{key}: expected {moves} columns of the velocity beside it, got {velocities}")
     said: dict[str, str] = {}
     for name, word in value.items():
         if name not in AXES_KEYS:

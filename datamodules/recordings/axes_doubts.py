@@ -9,6 +9,8 @@ from datamodules.recordings.axes import into_z_up, rotations
 AGREES, DIFFERS = 0.9, 0.7
 """Cosines between velocities and slopes, over all rows and axes: from the one on an explanation holds, below the other
 there is a doubt."""
+FACTOR = 3.0
+"""A velocity that is so many times its slope, or less than one such part, has another unit."""
 MOVES = 0.1
 """What moves less, m/s or rad/s, is noise to a slow log."""
 
@@ -55,7 +57,12 @@ def _cosine(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def _doubt(what: str, slope: np.ndarray, velocity: np.ndarray, asked: dict[str, np.ndarray]) -> list[str]:
-    if _cosine(slope, velocity) >= DIFFERS or np.sqrt(np.mean(np.sum(slope**2, axis=1))) < MOVES:
+    speed = np.sqrt(np.mean(np.sum(slope**2, axis=1)))
+    if speed < MOVES:
         return []
+    if _cosine(slope, velocity) >= DIFFERS:
+        times = float(np.sqrt(np.mean(np.sum(velocity**2, axis=1))) / speed)
+        unit = f"{what} is {times:.3g} times the slope of the positions: is a unit wrong, as of angles or rates?"
+        return [] if 1 / FACTOR < times < FACTOR else [unit]
     likely = [question for question, turned in asked.items() if _cosine(slope, turned) > AGREES]
     return [f"{what} is not the slope of the positions: " + (likely or ["are columns, signs or units wrong?"])[0]]

@@ -103,7 +103,7 @@ def _check_names(mapping: Mapping, kind: str, mapped: dict, known: list[str], mo
 
 def _fit_joint(mapping: Mapping, joint: Joint, layout: JointLayout) -> Joint:
     nq, nv = WIDTHS[layout.type]
-    position = _fit_channel(mapping, joint.position, layout, nq, "")
+    position = _fit_channel(mapping, joint.position, layout, nv if joint.axes and joint.axes.angles else nq, "")
     velocity = None if joint.velocity is None else _fit_channel(mapping, joint.velocity, layout, nv, "/s")
     return replace(joint, position=position, velocity=velocity)
 
@@ -191,7 +191,7 @@ def check_velocities(imported: Imported, mapping: Mapping) -> tuple[str, ...]:
     longest = max(range(len(episodes)), key=lambda i: len(episodes[i]))
     notes, q, v = [], 0, 0
     for (name, joint), velocity in zip(mapping.joints.items(), mapping.velocities, strict=True):
-        nq, nv = (max(len(channel.columns), 1) for channel in (joint.position, velocity))
+        nq, nv = len(joint.position_columns), max(len(velocity.columns), 1)
         positions = [e.observations["qpos"][:, q : q + nq] for e in episodes]
         velocities = [e.observations["qvel"][:, v : v + nv] for e in episodes]
         if nq > 1 and (nq, nv) in WIDTHS.values():

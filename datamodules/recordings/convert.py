@@ -98,6 +98,7 @@ def _motion(recorded: Recorded, mapping: Mapping, rows: int) -> dict[str, np.nda
     """Qpos and, if all were measured, qvel, in the model's units and axes."""
     joints = list(mapping.joints.values())
     positions = [_rows(joint.position, recorded, rows) for joint in joints]
+    positions = [j.axes.with_quaternions(p) if j.axes else p for j, p in zip(joints, positions, strict=True)]
     for joint, of_joint in zip(joints, positions, strict=True):
         _check_rotations(recorded, joint.position, of_joint)
     turned = [j.axes.position(p) if j.axes else p for j, p in zip(joints, positions, strict=True)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from datamodules.recordings.check import SI, ActuatorLayout, JointLayout, ModelLayout
-from datamodules.recordings.draft_floating import FloatingColumns, floating_columns
+from datamodules.recordings.draft_floating import FloatingColumns, floating_columns, with_unit_of_angles
 from datamodules.recordings.draft_match import Match, is_finite, match, single_names, usable_columns
 from datamodules.recordings.draft_names import (
     COMMAND,
@@ -135,7 +135,7 @@ def draft_map(path: Path | str, model: ModelLayout, format: str | None = None) -
     times = _seconds(recorded, draft.time)
     for joint in model.joints:
         if joint.type == "free" and floating:
-            _add_floating(draft, joint.name, floating)
+            _add_floating(draft, joint.name, floating, recorded)
             continue
         if joint.type not in SI:
             draft.positions[joint.name] = Line(None, f"a {joint.type} joint takes a list of columns, see the guide")
@@ -264,13 +264,14 @@ def _add_joint(
     )
 
 
-def _add_floating(draft: Draft, name: str, found: FloatingColumns) -> None:
+def _add_floating(draft: Draft, name: str, found: FloatingColumns, recorded: Recorded) -> None:
     """Add a free joint's lines."""
     draft.positions[name] = Line({"column": list(found.position)}, found.why)
     if found.velocity:
         draft.velocities[name] = Line({"column": list(found.velocity)}, found.why)
-    if found.axes:
-        draft.axes[name] = Line(found.axes, "as usual with such names")
+    axes, why = with_unit_of_angles(found, recorded.columns)
+    if axes:
+        draft.axes[name] = Line(axes, why)
 
 
 def _follower(recorded: Recorded, times: np.ndarray, positions: np.ndarray, free: list[str]) -> Match | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -13,9 +15,9 @@ class Naming:
 
     Attributes:
         whose: for the comment.
-        position: of 3 coordinates and a quaternion (w, x, y, z).
+        position: of 3 coordinates and a quaternion (w, x, y, z), or roll, pitch and yaw.
         velocities: of the linear and angular velocity, alternatives; none where they are not recorded beside it.
-        axes: in which they are, where these are not MuJoCo's.
+        axes: in which they are, where these are not MuJoCo's; units of angles that names do not tell are left out.
         motors: what the names of commands to motors begin with, from the first on; commands go from 0 to 1.
     """
 
@@ -28,7 +30,7 @@ class Naming:
 
 @dataclass(frozen=True)
 class FloatingColumns:
-    """Columns of a floating body: positions (7), velocities (6, or none), what is said of their axes; its motors'."""
+    """Columns of a floating body: positions (7, or 6), velocities (6, or none), their axes; its motors'."""
 
     position: tuple[str, ...]
     velocity: tuple[str, ...]
@@ -44,7 +46,8 @@ def _ros(place: str, rotation: str, twist: str = "") -> tuple[tuple[str, ...], t
 
 
 _LOCAL = "vehicle_local_position"
-_PLAIN = (("x", "y", "z", "qw", "qx", "qy", "qz"), (("vx", "vy", "vz", "wx", "wy", "wz"),))
+_ANGLES = ("roll", "pitch", "yaw")
+_PLAIN = tuple(("vx", "vy", "vz", *turning) for turning in (("wx", "wy", "wz"), ("p", "q", "r")))
 NAMINGS = (
     Naming(
         "PX4's",
@@ -66,9 +69,24 @@ NAMINGS = (
     ),
     Naming("of ROS's PoseStamped", *_ros("pose.position", "pose.orientation")),
     Naming("of ROS's TransformStamped", *_ros("transform.translation", "transform.rotation")),
-    Naming("usual ones", *_PLAIN),
+    Naming(
+        "MAVLink's",
+        (*(f"local_position_ned.{axis}" for axis in "xyz"), *(f"attitude.{angle}" for angle in _ANGLES)),
+        ((*(f"local_position_ned.v{axis}" for axis in "xyz"), *(f"attitude.{angle}speed" for angle in _ANGLES)),),
+        {"world": "ned", "body": "frd", "angles": "rad"},
+    ),
+    Naming(
+        "the Crazyflie's",
+        tuple(f"stateestimate.{name}" for name in (*"xyz", *_ANGLES)),
+        ((*(f"stateestimate.v{axis}" for axis in "xyz"), *(f"gyro.{axis}" for axis in "xyz")),),
+        {"angles": "deg", "rates": "deg/s", "pitch": "reversed"},
+    ),
+    Naming("usual ones", ("x", "y", "z", "qw", "qx", "qy", "qz"), _PLAIN),
+    Naming("usual ones", ("x", "y", "z", *_ANGLES), _PLAIN),
 )
 """The first that fits is taken."""
+LARGEST_ANGLE = 6.5
+"""Roll, pitch or yaw beyond it are degrees, as one turn has 6.28 rad."""
 
 
 def floating_columns(columns: Iterable[str]) -> FloatingColumns | None:
@@ -87,6 +105,15 @@ def floating_columns(columns: Iterable[str]) -> FloatingColumns | None:
             motors = tuple(known[name] for name in driven)
             return FloatingColumns(position, velocity, naming.axes, motors, f"the names are {naming.whose}")
     return None
+
+
+def with_unit_of_angles(found: FloatingColumns, columns: Mapping[str, np.ndarray]) -> tuple[dict[str, str], str]:
+    """What a map says of the axes, and why; a unit of angles that names do not tell is guessed from their size."""
+    if len(found.position) == 7 or "angles" in found.axes:
+        return found.axes, "as usual with such names"
+    size = max(float(np.nanmax(np.abs(columns[name]))) for name in found.position[-len(_ANGLES) :])
+    unit = "deg" if size > LARGEST_ANGLE else "rad"
+    return {**found.axes, "angles": unit}, f"BY THEIR SIZE ONLY, up to {size:.3g}"
 
 
 def _plain(name: str) -> str:

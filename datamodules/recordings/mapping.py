@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from datamodules.recordings.axes import Axes, parse_axes
-from datamodules.recordings.errors import RecordingError, choices
+from datamodules.recordings.axes import ANGLES, Axes, has_angles, parse_axes
+from datamodules.recordings.errors import RecordingError
+from datamodules.recordings.map_values import (
+    column_name,
+    column_names,
+    count_of,
+    named_entries,
+    number_of,
+    one_of,
+    part_name,
+    section,
+    text_of,
+)
 from datamodules.recordings.units import TIME, Unit, actuator_unit, position_unit, velocity_unit
 from datamodules.safe_yaml import read_yaml
 
@@ -96,6 +106,14 @@ class Joint:
     position: Channel
     velocity: Channel | None = None
     axes: Axes | None = None
+
+    @property
+    def position_columns(self) -> tuple[tuple[str, ...], ...]:
+        """Of every number in qpos the columns that it is of, alternatives; several make one of a quaternion."""
+        columns = self.position.alternatives or (("constant",),)
+        if self.axes is None or not self.axes.angles:
+            return columns
+        return (*columns[:-ANGLES], *4 * ((", ".join(self.position.columns[-ANGLES:]),),))
 
 
 @dataclass(frozen=True)
@@ -218,20 +236,22 @@ def parse_mapping(content: Any, source: str = "map") -> Mapping:
 
 
 def _mapping(content: Any, source: str) -> Mapping:
-    top = _section("the map", content, KEYS)
+    top = section("the map", content, KEYS)
     time, other_times, dt = _clock(top)
-    joints = {name: _joint(f"joints.{name}", value) for name, value in _names("joints", top.get("joints"))}
+    joints = {name: _joint(f"joints.{name}", value) for name, value in named_entries("joints", top.get("joints"))}
     if "images" not in top and all(joint.position.constant for joint in joints.values()):
         raise RecordingError(
             "joints: expected at least one joint with a position column, or images; see docs/guide/import.md"
         )
     actuators = {
         name: _channel(f"actuators.{name}", value, actuator_unit)
-        for name, value in _names("actuators", top.get("actuators"))
+        for name, value in named_entries("actuators", top.get("actuators"))
     }
-    infos = {_part(name): _column(f"infos.{name}", value) for name, value in _names("infos", top.get("infos"))}
-    episodes = _section("episodes", top["episodes"], ("column",)) if "episodes" in top else {}
-    delimiter, clock = (None if top.get(k) is None else _text(k, top[k]) for k in ("delimiter", "clock"))
+    infos = {
+        part_name(name): column_name(f"infos.{name}", value) for name, value in named_entries("infos", top.get("infos"))
+    }
+    episodes = section("episodes", top["episodes"], ("column",)) if "episodes" in top else {}
+    delimiter, clock = (None if top.get(k) is None else text_of(k, top[k]) for k in ("delimiter", "clock"))
     if delimiter is not None and len(delimiter) != 1:
         raise RecordingError(f"delimiter: expected one character, got {delimiter!r}")
     return Mapping(
@@ -241,10 +261,10 @@ def _mapping(content: Any, source: str) -> Mapping:
         dt=dt,
         images=_images(top["images"]) if "images" in top else None,
         infos=infos,
-        episodes=_column("episodes.column", episodes.get("column")) if "episodes" in top else None,
-        actions_at=_one_of("actions_at", top.get("actions_at", "start"), ("start", "end")),
-        skip_rows=_count("skip_rows", top.get("skip_rows", 0)),
-        header=_one_of("header", top.get("header", True), (True, False)),
+        episodes=column_name("episodes.column", episodes.get("column")) if "episodes" in top else None,
+        actions_at=one_of("actions_at", top.get("actions_at", "start"), ("start", "end")),
+        skip_rows=count_of("skip_rows", top.get("skip_rows", 0)),
+        header=one_of("header", top.get("header", True), (True, False)),
         delimiter=delimiter,
         clock=clock,
         source=source,
@@ -260,31 +280,32 @@ def _clock(top: dict) -> tuple[tuple[str, float] | None, tuple[str, ...], float 
             f"expected either time, such as time: {{column: t, unit: s}}, or dt: <seconds>; it has {came}"
         )
     if "dt" in top:
-        dt = _number("dt", top["dt"])
+        dt = number_of("dt", top["dt"])
         if not SHORTEST_PERIOD <= dt <= LONGEST_PERIOD:
             allowed = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} seconds"
             raise RecordingError(f"dt: expected a period of {allowed}, got {dt:g}")
         return None, (), dt
     value = top["time"] if isinstance(top["time"], dict) else {"column": top["time"]}
-    entry = _section("time", value, ("column", "unit"))
-    unit = _text("time.unit", entry.get("unit", "s"))
-    column, *others = _columns("time.column", entry.get("column"))
-    return (column, TIME[_one_of("time.unit", unit, tuple(TIME))]), tuple(others), None
+    entry = section("time", value, ("column", "unit"))
+    unit = text_of("time.unit", entry.get("unit", "s"))
+    column, *others = column_names("time.column", entry.get("column"))
+    return (column, TIME[one_of("time.unit", unit, tuple(TIME))]), tuple(others), None
 
 
 def _images(value: Any) -> ImageColumn:
-    entry = _section("images", value if isinstance(value, dict) else {"column": value}, ("column", "size"))
-    size = _count("images.size", entry.get("size", ImageColumn.size))
+    entry = section("images", value if isinstance(value, dict) else {"column": value}, ("column", "size"))
+    size = count_of("images.size", entry.get("size", ImageColumn.size))
     if not SMALLEST_IMAGE <= size <= LARGEST_IMAGE:
         raise RecordingError(f"images.size: expected {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels, got {size}")
-    return ImageColumn(_column("images.column", entry.get("column")), size)
+    return ImageColumn(column_name("images.column", entry.get("column")), size)
 
 
 def _joint(key: str, value: Any) -> Joint:
-    entry = _section(key, value, ("position", "velocity", "axes"))
+    entry = section(key, value, ("position", "velocity", "axes"))
     if "position" not in entry:
         raise RecordingError(f"{key}: position is missing; expected position: {{column: ..., unit: rad}}")
-    position = _channel(f"{key}.position", entry["position"], position_unit)
+    turned = PARTS[velocity_unit] if has_angles(entry.get("axes")) else None
+    position = _channel(f"{key}.position", entry["position"], position_unit, turned)
     velocity = _channel(f"{key}.velocity", entry["velocity"], velocity_unit) if "velocity" in entry else None
     if velocity and velocity.unit.si and position.unit.si and velocity.unit.si != f"{position.unit.si}/s":
         raise RecordingError(
@@ -296,98 +317,25 @@ def _joint(key: str, value: Any) -> Joint:
     return Joint(position, velocity, axes)
 
 
-def _channel(key: str, value: Any, unit_of: Callable[[str, str], Unit]) -> Channel:
-    entry = _section(key, value if isinstance(value, dict) else {"column": value}, CHANNEL_KEYS)
+def _channel(
+    key: str, value: Any, unit_of: Callable[[str, str], Unit], parts: tuple[int, ...] | None = None
+) -> Channel:
+    entry = section(key, value if isinstance(value, dict) else {"column": value}, CHANNEL_KEYS)
     if "constant" in entry:
         if len(entry) > 1:
             raise RecordingError(f"{key}: constant stands alone, in the model's unit; drop the other keys")
-        return Channel(key, (), offset=_number(f"{key}.constant", entry["constant"]))
-    columns = _columns(f"{key}.column", entry.get("column"))
-    if len(entry) == 1 and len(columns) in PARTS[unit_of]:
+        return Channel(key, (), offset=number_of(f"{key}.constant", entry["constant"]))
+    columns = column_names(f"{key}.column", entry.get("column"))
+    if len(entry) == 1 and len(columns) in (parts or PARTS[unit_of]):
         return Channel(key, columns)
-    unit = Unit() if entry.get("unit") is None else unit_of(_text(f"{key}.unit", entry["unit"]), f"{key}.unit")
+    unit = Unit() if entry.get("unit") is None else unit_of(text_of(f"{key}.unit", entry["unit"]), f"{key}.unit")
     return Channel(
         key,
         columns[:1],
         unit,
-        _one_of(f"{key}.sign", entry.get("sign", 1), (1, -1)),
-        _number(f"{key}.scale", entry.get("scale", 1.0)),
-        _number(f"{key}.offset", entry.get("offset", 0.0)),
+        one_of(f"{key}.sign", entry.get("sign", 1), (1, -1)),
+        number_of(f"{key}.scale", entry.get("scale", 1.0)),
+        number_of(f"{key}.offset", entry.get("offset", 0.0)),
         columns[1:],
-        _one_of(f"{key}.hold", entry.get("hold", False), (True, False)),
+        one_of(f"{key}.hold", entry.get("hold", False), (True, False)),
     )
-
-
-# --- values of a YAML file, checked ---------------------------------------------------------------------
-
-
-def _section(key: str, value: Any, known: tuple[str, ...]) -> dict:
-    if not isinstance(value, dict):
-        raise RecordingError(f"{key}: expected keys among {', '.join(known)}; got {_shown(value)}")
-    for name in value:
-        if name not in known:
-            raise RecordingError(f"{key}: unknown key {name!r}; " + choices(str(name), known, "keys are"))
-    return value
-
-
-def _names(key: str, value: Any) -> list[tuple[str, Any]]:
-    if value is None:
-        return []
-    if not isinstance(value, dict):
-        raise RecordingError(f"{key}: expected one entry a name, got {_shown(value)}")
-    return [(_text(key, name), entry) for name, entry in value.items()]
-
-
-def _part(name: str) -> str:
-    """The name of an array in a trajectory file, in which a slash would make a group."""
-    if not name or "/" in name or "\0" in name or name == ".":
-        raise RecordingError(f"infos: a name goes into the file as it is, without slashes; got {name!r}")
-    return name
-
-
-def _column(key: str, value: Any) -> str:
-    if value is None:
-        raise RecordingError(f"{key}: expected the name of a column, got nothing")
-    return _text(key, value)
-
-
-def _columns(key: str, value: Any) -> tuple[str, ...]:
-    """One column, or a list of several."""
-    if not isinstance(value, list):
-        return (_column(key, value),)
-    if not value:
-        raise RecordingError(f"{key}: expected the name of a column or a list of names, got []")
-    return tuple(_column(key, name) for name in value)
-
-
-def _text(key: str, value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        hint = "; YAML reads yes, no, on and off as truth values, put the name in quotes" * isinstance(value, bool)
-        raise RecordingError(f"{key}: expected a name, got {_shown(value)}{hint}")
-    return str(value)
-
-
-def _number(key: str, value: Any) -> float:
-    try:
-        number = math.nan if isinstance(value, bool) else float(value)  # YAML reads 1e-3 as text
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise RecordingError(f"{key}: expected a number, got {_shown(value)}")
-    return number
-
-
-def _count(key: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise RecordingError(f"{key}: expected a whole number, 0 or more, got {_shown(value)}")
-    return value
-
-
-def _one_of(key: str, value: Any, known: tuple) -> Any:
-    if not any(value == k and isinstance(value, bool) == isinstance(k, bool) for k in known):
-        raise RecordingError(f"{key}: expected {' or '.join(map(str, known))}, got {_shown(value)}")
-    return value
-
-
-def _shown(value: Any) -> str:
-    return "nothing" if value is None else repr(value)[:80]

@@ -32,22 +32,23 @@ def _rows(imported: Imported, mapping: Mapping) -> list[Row]:
     joints = mapping.joints.items()
     groups = []
     if mapping.joints:
-        groups.append(("observations", "qpos", [(f"{name} position", joint.position) for name, joint in joints]))
+        positions = [(f"{name} position", joint.position, joint.position_columns) for name, joint in joints]
+        groups.append(("observations", "qpos", positions))
     if mapping.velocities:
         velocities = zip(mapping.joints, mapping.velocities, strict=True)
-        groups.append(("observations", "qvel", [(f"{name} velocity", channel) for name, channel in velocities]))
-    groups.append(("actions", "", [(f"{name} command", channel) for name, channel in mapping.actuators.items()]))
+        groups.append(("observations", "qvel", [_named(f"{name} velocity", channel) for name, channel in velocities]))
+    groups.append(("actions", "", [_named(f"{name} command", channel) for name, channel in mapping.actuators.items()]))
     rows = []
     for group, array, channels in groups:
         parts = [getattr(e, group)[array] if array else getattr(e, group) for e in imported.trajectories]
-        columns = [
-            (name, channel, " or ".join(names))
-            for name, channel in channels
-            for names in channel.alternatives or (("constant",),)
-        ]
+        columns = [(name, channel, " or ".join(names)) for name, channel, of in channels for names in of]
         for (name, channel, column), values in zip(columns, np.concatenate(parts).T, strict=True):
             rows.append(_row(name, channel, column, values))
     return rows
+
+
+def _named(name: str, channel: Channel) -> tuple[str, Channel, tuple[tuple[str, ...], ...]]:
+    return name, channel, channel.alternatives or (("constant",),)
 
 
 def _row(name: str, channel: Channel, column: str, values: np.ndarray) -> Row:

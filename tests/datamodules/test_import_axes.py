@@ -93,6 +93,42 @@ def test_a_flight_is_the_same_in_whatever_axes(written, axes, flight, tmp_path):
     assert (axes is None) or any("turned into MuJoCo's" in note for note in made.notes)
 
 
+def in_angles(columns, degrees=True, pitch=1):
+    """The same with roll, pitch and yaw in place of the quaternion: yaw about z first, as aircraft have them."""
+    quaternions = np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])
+    yaw, tilt, roll = Rotation.from_quat(quaternions).as_euler("ZYX", degrees=degrees).T
+    return {**columns, "roll": roll, "pitch": pitch * tilt, "yaw": yaw}
+
+
+@pytest.mark.parametrize(
+    ("written", "axes", "pitch"),
+    [
+        ({}, {"angles": "deg"}, 1),
+        ({"world": DOWN, "body": DOWN}, {"world": "ned", "body": "frd", "angles": "deg"}, 1),
+        ({"linear": "body"}, {"linear": "body", "angles": "deg", "pitch": "reversed"}, -1),
+    ],
+)
+def test_roll_pitch_and_yaw_are_the_same_flight(written, axes, pitch, flight, tmp_path):
+    columns = in_angles(as_written(flight, **written), pitch=pitch)
+    columns |= {name: np.degrees(columns[name]) for name in ("wx", "wy", "wz")}
+    content = mapped({**axes, "rates": "deg/s"}, order=("x", "y", "z", "roll", "pitch", "yaw"))
+    made = imported(columns, content, tmp_path)
+    (episode,) = made.trajectories
+    _, qpos, qvel, _ = flight
+    same = np.sign(np.sum(episode.observations["qpos"][:, 3:] * qpos[:, 3:], axis=1))[:, None]
+    np.testing.assert_allclose(same * episode.observations["qpos"][:, 3:], qpos[:, 3:], atol=1e-9)
+    np.testing.assert_allclose(episode.observations["qvel"], qvel, atol=1e-9)
+    assert not any("slope" in note for note in made.notes)
+
+
+def test_rates_in_degrees_are_asked_about(flight, tmp_path):
+    columns = in_angles(as_written(flight))
+    columns |= {name: np.degrees(columns[name]) for name in ("wx", "wy", "wz")}
+    content = mapped({"angles": "deg"}, order=("x", "y", "z", "roll", "pitch", "yaw"))
+    notes = [note for note in imported(columns, content, tmp_path).notes if "slope" in note]
+    assert len(notes) == 1 and "angular velocity is 57" in notes[0] and "rates?" in notes[0]
+
+
 def test_quaternions_do_not_jump(flight, tmp_path):
     columns = as_written(flight, world=DOWN, body=DOWN)
     flipped = np.where(np.arange(len(columns["t"])) % 7 < 3, -1, 1)
@@ -131,7 +167,11 @@ def test_one_axis_of_velocities_turned_is_asked_about(flight, tmp_path):
     [
         ({"world": "nde"}, r"joints.root.axes.world: got 'nde'; did you mean 'ned'"),
         ({"wold": "ned"}, r"joints.root.axes: unknown key 'wold'; did you mean 'world'"),
-        ("ned", r"joints.root.axes: expected keys among world, body, linear, angular; got 'ned'"),
+        ("ned", r"joints.root.axes: expected keys among world, body, linear, angular, rates, angles, pitch; got 'ned'"),
+        (
+            {"angles": "rad"},
+            r"joints.root.axes: axes are of .*, which take 3 or 6 columns with roll, pitch and yaw; got 1",
+        ),
     ],
 )
 def test_mistakes_in_axes_are_named(axes, message):
@@ -208,6 +248,38 @@ def test_a_draft_knows_usual_names_of_floating_bodies(named, written, axes, flig
     np.testing.assert_allclose(episode.observations["qvel"], qvel, atol=1e-12)
     np.testing.assert_allclose(episode.observations["qpos"][:, :3], qpos[:, :3], atol=1e-12)
     np.testing.assert_allclose(episode.actions, commands[:-1], rtol=1e-6)
+
+
+MAVLINK = {**{axis: f"LOCAL_POSITION_NED.{axis}" for axis in ("x", "y", "z", "vx", "vy", "vz")}, "t": "time_s"}
+MAVLINK |= {angle: f"ATTITUDE.{angle}" for angle in ("roll", "pitch", "yaw")}
+MAVLINK |= {w: f"ATTITUDE.{angle}speed" for w, angle in (("wx", "roll"), ("wy", "pitch"), ("wz", "yaw"))}
+CRAZYFLIE = {name: f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")}
+CRAZYFLIE |= {"wx": "gyro.x", "wy": "gyro.y", "wz": "gyro.z", "t": "time_s"}
+
+
+@pytest.mark.parametrize(
+    ("names", "written", "rates", "axes"),
+    [
+        (MAVLINK, {"world": DOWN, "body": DOWN}, 1.0, {"world": "ned", "body": "frd", "angles": "rad"}),
+        (CRAZYFLIE, {}, 180 / np.pi, {"angles": "deg", "rates": "deg/s", "pitch": "reversed"}),
+        ({"t": "t"}, {}, 1.0, {"angles": "deg"}),
+        ({"t": "t", "wx": "p", "wy": "q", "wz": "r"}, {}, 1.0, {"angles": "rad"}),
+    ],
+)
+def test_a_draft_knows_roll_pitch_and_yaw(names, written, rates, axes, flight, tmp_path):
+    pitch = -1 if axes.get("pitch") else 1
+    columns = in_angles(as_written(flight, **written), degrees=axes["angles"] == "deg", pitch=pitch)
+    columns |= {name: rates * columns[name] for name in ("wx", "wy", "wz")}
+    columns = {names.get(name, name): values for name, values in columns.items() if not name.startswith("q")}
+    (tmp_path / "drone.xml").write_text(DRONE)
+    content, text = drafted(write_csv(tmp_path / "flight.csv", columns), tmp_path / "drone.xml")
+    assert content["joints"]["root"]["axes"] == axes
+    assert ("BY THEIR SIZE ONLY" in text) == (len(names) < 5)
+    content["actuators"] = {"left": "a", "right": "b"}
+    (episode,) = imported(columns, content, tmp_path).trajectories
+    _, qpos, qvel, _ = flight
+    np.testing.assert_allclose(episode.observations["qvel"], qvel, atol=1e-9)
+    np.testing.assert_allclose(episode.observations["qpos"][:, :3], qpos[:, :3], atol=1e-9)
 
 
 def test_two_floating_bodies_are_left_to_the_person(flight, tmp_path):
