@@ -16,6 +16,12 @@ from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
 
 
+DRIVEN = tuple(
+    int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT, mujoco.mjtTrn.mjTRN_TENDON)
+)
+"""Transmissions to joints: what motors have, and propellers have not."""
+
+
 @dataclass(frozen=True)
 class Plausible:
     """A range, in units of something that the model or the recordings say.
@@ -71,6 +77,13 @@ class Machine:
         own = [i for i in range(self.model.nu) if c.target in ("*", self.model.actuator(i).name)]
         return float(self.typical.force[own].max(initial=0.0)) or np.inf
 
+    def pulls_both_ways(self, c: Candidate) -> float:
+        """1 if an actuator drives a joint or tendon in both directions, infinite where one does not."""
+        m = self.model
+        own = [i for i in range(m.nu) if c.target in ("*", m.actuator(i).name)]
+        both = [not m.actuator_ctrllimited[i] or m.actuator_ctrlrange[i, 0] < 0 for i in own]
+        return 1.0 if all(both) and all(m.actuator_trntype[i] in DRIVEN for i in own) else np.inf
+
     def link(self) -> float:
         """The longest way from a joint to the next, or from the last one to where its body ends, m."""
         moved = [b for b, _ in moved_bodies(self.model)]
@@ -110,6 +123,7 @@ MEASURES: dict[str, Measure] = {
     "of the longest link": lambda m, c, k: m.link(),
     "of its usual speed": lambda m, c, k: m.speed(c),
     "of the usual force": lambda m, c, k: m.force(c),
+    "where a motor pulls both ways": lambda m, c, k: m.pulls_both_ways(c),
 }
 """What the ends of ranges are multiples of, by words that follow a number."""
 
@@ -173,7 +187,9 @@ PLAUSIBLE: dict[tuple[str, str], Plausible] = {
     ("actuator_deadzone", "width"): Plausible(
         0.0, 0.5, "of the largest command", "a motor that ignores half of its commands is broken"
     ),
-    ("actuator_curve", "share"): Plausible(-1.0, 1.0, "", "beyond, more of a command does less"),
+    ("actuator_curve", "share"): Plausible(
+        -0.4, 0.4, "where a motor pulls both ways", "motors pull about in proportion; propellers and valves do not"
+    ),
     ("actuator_saturation", "limit"): Plausible(
         0.1, np.inf, "of the largest command", "a motor that does a tenth of what it is told is broken"
     ),

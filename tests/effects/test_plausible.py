@@ -71,6 +71,7 @@ def test_what_the_model_has_is_plausible_and_so_is_every_start(machine, effect):
         ("joint_frictionloss", "slide", 1, (5.0,), (40.0,)),
         ("joint_damping", "slide", 1, (3.0,), (60.0,)),
         ("actuator_gain", "push", 1, (0.6,), (0.03,)),
+        ("actuator_curve", "push", 1, (0.3,), (0.9,)),
         ("body_mass", "pole", 1, (2.0,), (40.0,)),
         ("body_com", "pole", 3, (0.1, 0.0, -0.3), (2.0, 0.0, 0.0)),
         ("external_force", "cart", 3, (10.0, 0.0, 0.0), (100.0, 0.0, 0.0)),
@@ -81,6 +82,17 @@ def test_ranges_are_those_of_machines(machine, effect, target, size, believed, n
     low, high = candidates(machine, effect, size)[target].bounds()
     assert (low <= believed).all() and (high >= believed).all()
     assert not ((low <= not_believed).all() and (high >= not_believed).all())
+
+
+@pytest.mark.parametrize("motor", ['site="tip"', 'joint="slide" ctrlrange="0 5" ctrllimited="true"'])
+def test_a_propeller_and_a_valve_may_be_curved_as_they_like(machine, motor):
+    xml = CART.replace("</actuator>", f'<motor name="other" {motor}/></actuator>')
+    xml = xml.replace('<body name="pole"', '<site name="tip"/><body name="pole"', 1)
+    typical = dataclasses.replace(
+        machine.typical, **{k: np.append(getattr(machine.typical, k), 1.0) for k in ("command", "force")}
+    )
+    of_other = candidates(Machine(mujoco.MjModel.from_xml_string(xml), typical), "actuator_curve")["other"]
+    assert of_other.bounds()[1] == 1.0
 
 
 def test_a_thick_medium_is_plausible_only_where_the_model_has_one():
