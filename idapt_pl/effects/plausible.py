@@ -15,7 +15,6 @@ import numpy as np
 from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
 
-
 DRIVEN = tuple(
     int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT, mujoco.mjtTrn.mjTRN_TENDON)
 )
