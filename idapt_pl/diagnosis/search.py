@@ -23,6 +23,7 @@ from idapt_pl.diagnosis.laws.search import search_laws
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.rounds.acceptance import accept, confirm
 from idapt_pl.diagnosis.rounds.all_at_once import add_all_at_once
+from idapt_pl.diagnosis.rounds.discrepancies import choose_otherwise
 from idapt_pl.diagnosis.rounds.look_ahead import add_two
 from idapt_pl.diagnosis.rounds.numerics import retest_numerics
 from idapt_pl.diagnosis.rounds.other_beginnings import begin_otherwise
@@ -202,7 +203,8 @@ def run_search(context: SearchContext, state: SearchState) -> Progression:
     begun = select_and_revise(context, (retest_numerics(context, state), ()))
     to_the_end = functools.partial(select_and_revise, context, to_the_end=True)
     by_forecasts = with_stops(context, by_forces_if_need_be(context, begun, to_the_end), to_the_end)
-    state, trials = begin_otherwise(context, by_forecasts, to_the_end)
+    begun = begin_otherwise(context, by_forecasts, to_the_end)
+    state, trials = choose_otherwise(context, begun, to_the_end)
     other, tried = try_implausible(context, state, next_round(trials, state))
     trials = (*trials, *tried)
     if other is not None:  # what was found in its shadow may be needless now, and more may show
