@@ -27,7 +27,7 @@ def draw_machine(rng: Rng) -> tuple[mujoco.MjSpec, int]:
         links.append(add_link(parent, i, cart, rng))
     model = spec.compile()
     for j, inertia in zip(spec.joints, model.dof_M0, strict=True):
-        j.damping = [inertia * rng.uniform(0.1, 2.0)] * len(np.atleast_1d(j.damping))
+        j.damping[0] = inertia * rng.uniform(0.1, 2.0)
         j.armature = inertia * rng.uniform(0.0, 0.4)
         j.frictionloss = inertia * rng.uniform(0.1, 1.0) if rng.random() < 0.3 else 0.0
     add_motors(spec, spec.compile(), rng)

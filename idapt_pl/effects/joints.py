@@ -151,7 +151,7 @@ class JointDrag(JointEffect):
     @classmethod
     def candidates(cls, model: mujoco.MjModel, typical: TypicalSizes) -> list[Candidate]:
         scale = typical.inertia / typical.horizon / typical.speed
-        return one_per_joint(cls, "drag", model, np.zeros(model.nv), scale)
+        return one_per_joint(cls, "drag", model, model.dof_dampingpoly[:, 0], scale)
 
 
 @dataclass(frozen=True)

@@ -163,3 +163,12 @@ def test_a_joint_that_never_moves_keeps_the_bounds_of_its_effects(arm):
 
 def test_effects_that_are_not_in_the_table_may_be_anything():
     assert plausible_range("somebody_elses", "strength", 0.0) is None
+
+
+def test_what_the_model_has_of_drag_is_where_a_search_begins(machine):
+    xml = CART.replace('<joint name="hinge"', '<joint name="hinge" damping="1 2 3"')
+    spec = mujoco.MjSpec.from_string(xml)
+    hinge = candidates(Machine(spec.compile(), machine.typical), "joint_drag")["hinge"]
+    assert hinge.nominal == (2.0,)
+    hinge.effect(hinge.nominal).apply(spec)
+    assert spec.compile().dof_dampingpoly[1].tolist() == [2.0, 3.0]
