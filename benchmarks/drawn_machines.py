@@ -1,6 +1,7 @@
 """Machines that nobody designed: each seed draws another mechanism, and up to three things hidden in it. A row a seed.
 
     python benchmarks/drawn_machines.py --seeds 0 1 2 3       # finished rows are kept
+    python benchmarks/drawn_machines.py --seeds 0 1 2 3 --positions    # without the velocities
     python benchmarks/drawn_machines.py --summary
 
 Two to five links on hinges and slides, in a chain or a tree, on the ground or on a cart; motors, position or velocity
@@ -25,6 +26,7 @@ sys.path.insert(0, str(ROOT))
 import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import mujoco
 import numpy as np
+from benchmarks.diagnosis import positions_alone
 from benchmarks.drawn.hidden import KINDS, Hidden, Place
 from benchmarks.drawn.machine import draw_machine, play, random_commands, with_hidden
 from benchmarks.suite_models import NOISE_Q, NOISE_V
@@ -35,7 +37,7 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (
-    "seed", "joints", "motors", "integrator", "hidden", "truth", "right", "missed", "extra", "found", "covered",
+    "seed", "velocities", "joints", "motors", "integrator", "hidden", "truth", "right", "missed", "extra", "found", "covered",
     "verdict", "before", "after", "seconds", "commit",
 )  # fmt: skip
 EPISODES, STEPS, AHEAD = 12, 100, 10
@@ -60,7 +62,7 @@ def record(
     return made
 
 
-def shown(spec: mujoco.MjSpec, steps: int, hidden: Hidden, rng: np.random.Generator) -> float:
+def shown(spec: mujoco.MjSpec, steps: int, hidden: Hidden, rng: np.random.Generator, velocities: bool = True) -> float:
     """By how many sigmas of the sensors the model as it was errs over ten control steps, in its worst channel."""
     model, errors = spec.compile(), []
     data, noise = mujoco.MjData(model), np.repeat([NOISE_Q, NOISE_V], model.nq)
@@ -70,10 +72,11 @@ def shown(spec: mujoco.MjSpec, steps: int, hidden: Hidden, rng: np.random.Genera
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = np.split(seen[k], 2)
             errors.append((play(model, data, u[k : k + AHEAD], steps, [])[-1] - seen[k + AHEAD]) / noise)
-    return float(np.sqrt(np.mean(np.square(errors), 0)).max())
+    measured = slice(None) if velocities else slice(model.nq)
+    return float(np.sqrt(np.mean(np.square(errors), 0))[measured].max())
 
 
-def draw(seed: int) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
+def draw(seed: int, velocities: bool = True) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
     """A machine, what is hidden in it, and what its sensors say."""
     rng = np.random.default_rng([seed, 20261130])
     spec, steps = draw_machine(rng)
@@ -81,14 +84,15 @@ def draw(seed: int) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
     while len(hidden) < HOW_MANY[seed % len(HOW_MANY)]:
         where = rng.integers((1, 0, 0), (model.nbody, model.nv, model.nu))
         h = kinds.pop()(Place(model, steps * model.opt.timestep, rng, *map(int, where)))
-        if h is not None and SEEN < shown(spec, steps, h, rng) < np.inf:
+        if h is not None and SEEN < shown(spec, steps, h, rng, velocities) < np.inf:
             hidden.append(h)
     made, offset = [], sum((h.offset for h in hidden), np.zeros(model.nq))
     for x, u in record(spec, steps, hidden, rng):
         q, v = np.split(x, 2, axis=1)
         seen = {"qpos": q + offset + NOISE_Q * rng.normal(size=q.shape), "qvel": v + NOISE_V * rng.normal(size=v.shape)}
         made.append(Episode(u, seen))
-    return spec, hidden, Trajectories(tuple(made), steps * model.opt.timestep)
+    data = Trajectories(tuple(made), steps * model.opt.timestep)
+    return spec, hidden, data if velocities else positions_alone(data)
 
 
 def matches(truth: list[Hidden], names: list[set[tuple[str, str]]]) -> int:
@@ -100,9 +104,9 @@ def matches(truth: list[Hidden], names: list[set[tuple[str, str]]]) -> int:
     return best
 
 
-def run(seed: int) -> dict:
+def run(seed: int, velocities: bool = True) -> dict:
     """Draw, diagnose, compare."""
-    spec, hidden, data = draw(seed)
+    spec, hidden, data = draw(seed, velocities)
     model, started = spec.compile(), time.perf_counter()
     report = diagnose(spec, data, seed=seed).report
     physical = [e for e in report["effects"] if e["effect"] != "numerics"]
@@ -111,7 +115,7 @@ def run(seed: int) -> dict:
     covered = [int(low <= h.value <= high) for h in hidden for low, high in intervals(h, physical)]
     kinds = sorted({"servo" if b else "motor" for b in model.actuator_biastype})
     return {
-        "seed": seed, "joints": model.nv, "motors": " ".join(kinds),
+        "seed": seed, "velocities": int(velocities), "joints": model.nv, "motors": " ".join(kinds),
         "integrator": mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_"), "hidden": len(hidden),
         "truth": " + ".join(f"{h.effect}({h.target}) {h.parameter}={h.value:.4g}" for h in hidden),
         "right": int(named == len(hidden) == len(names)), "missed": len(hidden) - named, "extra": len(names) - named,
@@ -154,15 +158,16 @@ def main() -> None:
     """Run the seeds that have no row yet and write the table."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
+    p.add_argument("--positions", action="store_true", help="leave the measured velocities out")
     p.add_argument("--summary", action="store_true", help="only print the table of what is there")
     p.add_argument("--out", type=Path, default=ROOT / "results" / "drawn_machines.csv")
     o = p.parse_args()
-    rows = {int(r["seed"]): r for r in read_rows(o.out)}
-    for seed in [] if o.summary else o.seeds:
-        if seed not in rows:
-            rows[seed] = run(seed)
+    rows = {(int(r["seed"]), int(r["velocities"])): r for r in read_rows(o.out)}
+    for key in [] if o.summary else [(seed, int(not o.positions)) for seed in o.seeds]:
+        if key not in rows:
+            rows[key] = run(key[0], bool(key[1]))
             write_rows(o.out, [rows[k] for k in sorted(rows)], FIELDS)
-            print({k: rows[seed][k] for k in FIELDS[:-1]}, flush=True)
+            print({k: rows[key][k] for k in FIELDS[:-1]}, flush=True)
     print(summarise(list(rows.values())))
 
 
