@@ -37,8 +37,8 @@ from datamodules import Episode, Trajectories
 from idapt_pl.diagnosis.search import diagnose
 
 FIELDS = (
-    "seed", "velocities", "joints", "motors", "integrator", "hidden", "truth", "right", "missed", "extra", "found", "covered",
-    "verdict", "before", "after", "seconds", "commit",
+    "seed", "velocities", "joints", "motors", "integrator", "hidden", "truth", "right", "missed", "extra", "found",
+    "covered", "verdict", "before", "after", "seconds", "commit",
 )  # fmt: skip
 EPISODES, STEPS, AHEAD = 12, 100, 10
 SEEN = 3.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from idapt_pl.effects.base import Effect
 from idapt_pl.effects.runtime import Command, CommandEffect, mean_between
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.prediction.data import Recording, Windows
 from idapt_pl.prediction.recent import RecentArrays
 
@@ -70,12 +71,20 @@ class HeldCommands:
         for e in np.unique(windows.episode) if columns else ():
             record, rows = self.data[e], np.flatnonzero(windows.episode == e)
             command = Command(record.time, record.actions[:, columns])
-            for effect, meant in (*((e, e.columns(self.model)) for e in effects), *self.own(h)):
+            for effect, meant in (*((e, e.columns(self.model)) for e in as_they_act(effects)), *self.own(h)):
                 of = [columns.index(i) for i in meant if i in columns]
                 command = effect.transform(command, of, h) if of else command
             at = record.time[windows.start[rows], None] + h * np.arange(steps + 1)
             out[rows] = mean_between(command, at)
         return out
+
+
+def as_they_act(effects: Sequence[CommandEffect]) -> list[CommandEffect]:
+    """Effects in the order of the repaired model: delays and filters come last, whenever they were found.
+
+    MuJoCo cuts commands off before its actuators' filters, and what MJCF has no words for acts on commands before both.
+    """
+    return sorted(effects, key=lambda e: isinstance(e, (ActuatorDelay, ActuatorLag)))
 
 
 def for_many_at_once(effects: Sequence[CommandEffect], model: mujoco.MjModel) -> list[tuple[CommandEffect, list[int]]]:

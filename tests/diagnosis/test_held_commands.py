@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from idapt_pl.effects.actuators import ActuatorBias, ActuatorRotation
+from idapt_pl.effects.actuators import ActuatorBias, ActuatorDeadzone, ActuatorRotation, ActuatorSaturation
+from idapt_pl.effects.domain import Domain
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.prediction.data import Recording, Windows
 from idapt_pl.prediction.held_commands import HeldCommands
@@ -64,3 +65,25 @@ def test_several_effects_act_one_after_the_other(held):
 def test_what_was_asked_for_before_is_the_same_array(held):
     lag = (ActuatorLag("a", 0.01),)
     assert held.averaged(lag, WINDOWS, STEPS, H) is held.averaged(lag, WINDOWS, STEPS, H)
+
+
+@pytest.mark.parametrize("bend", [ActuatorSaturation("a", 0.4), ActuatorDeadzone("a", 0.5)], ids=lambda e: e.name)
+@pytest.mark.parametrize("lag_first", [True, False])
+def test_limits_and_dead_zones_act_before_lags_as_in_the_repaired_model(bend, lag_first):
+    steps, period, h = 720, 60, 5e-4
+    commands = np.random.default_rng(1).normal(size=(steps // period, 3)).repeat(period, 0)
+    time, still = h * np.arange(steps + 1), np.zeros((steps + 1, 3))
+    effects = (ActuatorLag("a", 0.02), bend) if lag_first else (bend, ActuatorLag("a", 0.02))
+    domain = Domain("repaired", lambda: mujoco.MjSpec.from_string(XML), effects)
+    model = domain.compile()
+    model.opt.timestep = h
+    data, forces = mujoco.MjData(model), []
+    for u in domain.command(model, commands):
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+        forces.append(data.actuator_force[0])
+    held = HeldCommands(mujoco.MjModel.from_xml_string(XML), [Recording("one", time, still, still, commands)])
+    begin = 4 * period  # what was in the filter before the first command is not known
+    window = Windows(np.zeros(1, int), np.array([begin]), np.array([0, steps - begin]))
+    foretold = held.averaged(effects, window, steps - begin, h)[0, :, 0]
+    assert np.abs(foretold - forces[begin:]).max() < 0.1 * np.std(forces)
