@@ -132,7 +132,7 @@ def spring(at: Place) -> Hidden:
 def drag(at: Place) -> Hidden:
     """Of a joint, with the square of its speed."""
     size = at.inertia(0.5, 2.0)
-    return Hidden("joint_drag", at.joint, "drag", size, force=lambda q, v: at.at_joint(-size * np.abs(v) * v))
+    return Hidden("joint_drag", at.joint, "drag", size, lambda m: m.dof_dampingpoly.__setitem__((at.v, 0), size))
 
 
 def ripple(at: Place) -> Hidden | None:

@@ -38,7 +38,7 @@ from idapt_pl.diagnosis.rounds.revision import (
 )
 from idapt_pl.diagnosis.rounds.screening import screen_candidates, shortlist
 from idapt_pl.diagnosis.rounds.stops_besides import add_stops
-from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, single_for_shared
+from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, own_for_shared_motor, single_for_shared
 from idapt_pl.diagnosis.rounds.unexplained_forces import HOPELESS, beyond_noise, contradicts_forces, judge_by_noise
 from idapt_pl.diagnosis.rounds.usual_causes import begin_with_usual_causes
 from idapt_pl.diagnosis.state.context import Progress, SearchContext
@@ -225,7 +225,7 @@ def with_stops(
 def settle(context: SearchContext, state: SearchState) -> SearchState:
     """The end of a search: fewer effects where they do as well, and those that are sure."""
     fewest = many_for_one_gain(context, one_gain_for_many(context, state))
-    return keep_sure(context, single_for_shared(context, fewest))
+    return keep_sure(context, single_for_shared(context, own_for_shared_motor(context, fewest)))
 
 
 def select_and_revise(

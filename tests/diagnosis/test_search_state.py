@@ -10,11 +10,19 @@ from arm import ARM, DT, record
 from idapt_pl.diagnosis.candidates.fit import fit_candidates, split_parameters
 from idapt_pl.diagnosis.prepare import begin_search
 from idapt_pl.diagnosis.search import one_round
-from idapt_pl.diagnosis.state.search_state import AcceptedEffect, refit_accepted, refit_without, renew
+from idapt_pl.diagnosis.state.search_state import (
+    AcceptedEffect,
+    SearchState,
+    refit_accepted,
+    refit_without,
+    renew,
+    with_its_dead_time,
+)
 from idapt_pl.diagnosis.state.settings import SearchSettings
 from idapt_pl.effects.bodies import BodyCom
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.effects.world import Numerics
 from idapt_pl.estimation.least_squares import robust_loss
 
@@ -153,3 +161,15 @@ def test_a_fit_finds_the_parameters_of_several_candidates():
     fit = fit_candidates(residual, fixed, [CENTRE, DAMPING], [np.zeros(3), np.zeros(1)], 20)
     assert np.concatenate(fit.x) == pytest.approx(truth, abs=1e-4)
     assert [len(x) for x in fit.x] == [3, 1]
+
+
+@pytest.mark.parametrize(("target", "dead_time"), [("*", 0.003), ("other", -0.001)])
+def test_a_lag_takes_over_the_delay_of_its_commands_that_is_left_out(target, dead_time):
+    lag = Candidate(ActuatorLag, "*", ("time_constant", "dead_time"), (0.0, 0.0), (0.01, 0.01))
+    late = Candidate(ActuatorDelay, target, ("delay",), (0.0,), (0.01,))
+    effects = (AcceptedEffect(0, late, np.array([0.004])), AcceptedEffect(1, lag, np.array([0.03, -0.001])))
+    state = SearchState((), (*effects, AcceptedEffect(2, DAMPING, np.array([0.1]))), None)
+    rest = with_its_dead_time(state.without(effects[0]), effects[0])
+    np.testing.assert_allclose(np.concatenate(rest.estimates), [0.03, dead_time, 0.1])
+    rest = with_its_dead_time(state.without(effects[1]), effects[1])
+    np.testing.assert_allclose(np.concatenate(rest.estimates), [0.004, 0.1])

@@ -1,12 +1,12 @@
-"""A gain of all motors is undone where changes of what it scales are fewer."""
+"""What acts on several joints at once is undone where less does as well: a gain of all motors, a shared motor."""
 
 import mujoco
 import numpy as np
 import pytest
-from arm import record
+from arm import ARM, record
 
 from idapt_pl.diagnosis.prepare import begin_search
-from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain
+from idapt_pl.diagnosis.rounds.taking_apart import many_for_one_gain, own_for_shared_motor
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, refit_accepted
 
 CART = """<mujoco><option timestep="0.004" integrator="implicitfast"/><worldbody>
@@ -53,3 +53,22 @@ def test_without_a_gain_of_all_motors_there_is_nothing_to_undo():
         CART.format(hinge=0.15, pole=1.5, gear=15), ("body_mass(pole)", 1.5), ("joint_damping(hinge)", 0.15)
     )
     assert many_for_one_gain(context, state) is state
+
+
+SHARED_TENDON = """<tendon><fixed armature="0.02"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="1"/>
+</fixed></tendon>"""
+
+
+@pytest.mark.parametrize(
+    ("hidden", "left"),
+    [
+        (ARM.replace('name="elbow"', 'name="elbow" armature="0.02"'), {"joint_armature(elbow)"}),
+        (ARM.replace("<actuator>", SHARED_TENDON + "<actuator>"), {"shared_motor(shoulder elbow)"}),
+    ],
+)
+def test_a_motor_that_one_joint_alone_turns_is_that_joints_own(hidden, left):
+    context, state = begin_search(mujoco.MjSpec.from_string(ARM), record(hidden), threads=1)
+    shared = next(c for c in context.candidates if c.label == "shared_motor(shoulder elbow)" and "ratio" in c.names)
+    start = np.array([{"armature": 0.015, "ratio": 0.4}.get(name, 0.0) for name in shared.names])
+    begun = SearchState(state.fixed, (AcceptedEffect(0, shared, start),), state.windows)
+    assert labels(own_for_shared_motor(context, refit_accepted(context, begun))) == left

@@ -11,15 +11,18 @@ from idapt_pl.diagnosis.rounds.revision import eliminate_needless, level
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState, refit_accepted, renew
 from idapt_pl.effects.actuators import ActuatorGain
-from idapt_pl.effects.base import ACTUATED, Effect
+from idapt_pl.effects.base import ACTUATED, Effect, names_in
 from idapt_pl.effects.bodies import BodyMass
 from idapt_pl.effects.candidate import Candidate, actuated_dofs, scalar_joints
+from idapt_pl.effects.couplings import SharedMotor
 from idapt_pl.effects.joints import JointArmature, JointDamping, JointFrictionloss, JointStiffness
 from idapt_pl.prediction.force_windows import judges_forces
 
 log = logging.getLogger(__name__)
 AS_GOOD = 1.02
 """Of the loss before, what fewer effects may leave."""
+ROTORS = JointArmature, JointDamping, JointFrictionloss
+"""What a motor has at its joint."""
 SCALED: tuple[type[Effect], ...] = (BodyMass, JointDamping, JointFrictionloss, JointArmature, JointStiffness)
 """What a gain of all motors scales, the other way round."""
 MOST_SCALED = 8
@@ -59,6 +62,28 @@ def single_for_shared(context: SearchContext, state: SearchState) -> SearchState
         fewer = len(other.accepted) < len(state.accepted)
         if fewer and level(context, other) <= AS_GOOD * level(context, state):
             log.info("%s taken apart: %s", shared.candidate.label, ", ".join(c.label for c in other.candidates))
+            return refit_accepted(context, renew(context, other))
+    return state
+
+
+def own_for_shared_motor(context: SearchContext, state: SearchState) -> SearchState:
+    """The state with a joint's own rotor, damping and friction in place of a motor shared with the joint before.
+
+    Where these are as good: a motor that the joint before does not turn is the joint's own.
+    """
+    for motor in [a for a in state.accepted if a.candidate.kind is SharedMotor]:
+        joints = [j.name for j in context.sim.spec.joints]
+        second, felt = (
+            names_in(motor.candidate.target, joints)[-1],
+            dict(zip(motor.candidate.names, motor.x, strict=True)),
+        )
+        known, first = {c.label for c in state.candidates}, 1 + max(a.round for a in state.accepted)
+        own = [c for c in context.candidates if c.kind in ROTORS and c.target == second and c.label not in known]
+        new = [AcceptedEffect(first + k, c, np.add(c.nominal, felt[c.names[0]])) for k, c in enumerate(own)]
+        kept = tuple(a for a in state.accepted if a is not motor)
+        other = eliminate_needless(context, refit_accepted(context, replace(state, accepted=(*kept, *new))))
+        if level(context, other) <= AS_GOOD * level(context, state):
+            log.info("%s is the second joint's own", motor.candidate.label)
             return refit_accepted(context, renew(context, other))
     return state
 

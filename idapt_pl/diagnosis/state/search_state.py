@@ -12,6 +12,7 @@ from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_windows import ModelStructure, SearchWindows, whiten_windows
 from idapt_pl.effects.candidate import Candidate
+from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.estimation.least_squares import jacobian
 from idapt_pl.prediction.noise import Noise
 from idapt_pl.prediction.simulator import Effects
@@ -133,6 +134,19 @@ def refit_accepted(context: SearchContext, state: SearchState, iterations: int =
     return state.with_estimates(fit.x)
 
 
+def with_its_dead_time(rest: SearchState, left_out: AcceptedEffect) -> SearchState:
+    """Lags take over a delay of the same commands that is left out, as their dead time: the two are one."""
+    if left_out.candidate.kind is not ActuatorDelay:
+        return rest
+
+    def taken_over(a: AcceptedEffect) -> np.ndarray:
+        if a.candidate.kind is not ActuatorLag or a.candidate.target != left_out.candidate.target:
+            return a.x
+        return np.clip(a.x + left_out.x[0] * (np.array(a.candidate.names) == "dead_time"), *a.candidate.bounds())
+
+    return rest.with_estimates([taken_over(a) for a in rest.accepted])
+
+
 def refit_without(
     context: SearchContext, state: SearchState, effect: AcceptedEffect, good_enough: float
 ) -> tuple[SearchState, bool]:
@@ -142,7 +156,7 @@ def refit_without(
         The state without it, and whether the fit was left, as it would not have come to a mean loss of
         ``good_enough``.
     """
-    split, rest = state.windows.fit, state.without(effect)
+    split, rest = state.windows.fit, with_its_dead_time(state.without(effect), effect)
     if not rest.accepted:
         return rest, False
     own = np.repeat([a is effect for a in state.accepted], [a.candidate.size for a in state.accepted])
