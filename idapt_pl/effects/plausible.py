@@ -14,10 +14,9 @@ import numpy as np
 
 from idapt_pl.effects.base import ACTUATED, names_in
 from idapt_pl.effects.candidate import Candidate, TypicalSizes, moved_bodies
+from idapt_pl.effects.driven import ON_JOINT
 
-DRIVEN = tuple(
-    int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT, mujoco.mjtTrn.mjTRN_TENDON)
-)
+DRIVEN = tuple(map(int, (*ON_JOINT, mujoco.mjtTrn.mjTRN_TENDON)))
 """Transmissions to joints: what motors have, and propellers have not."""
 
 

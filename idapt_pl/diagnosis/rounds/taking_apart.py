@@ -72,11 +72,8 @@ def own_for_shared_motor(context: SearchContext, state: SearchState) -> SearchSt
     Where these are as good: a motor that the joint before does not turn is the joint's own.
     """
     for motor in [a for a in state.accepted if a.candidate.kind is SharedMotor]:
-        joints = [j.name for j in context.sim.spec.joints]
-        second, felt = (
-            names_in(motor.candidate.target, joints)[-1],
-            dict(zip(motor.candidate.names, motor.x, strict=True)),
-        )
+        felt = dict(zip(motor.candidate.names, motor.x, strict=True))
+        second = names_in(motor.candidate.target, [j.name for j in context.sim.spec.joints])[-1]
         known, first = {c.label for c in state.candidates}, 1 + max(a.round for a in state.accepted)
         own = [c for c in context.candidates if c.kind in ROTORS and c.target == second and c.label not in known]
         new = [AcceptedEffect(first + k, c, np.add(c.nominal, felt[c.names[0]])) for k, c in enumerate(own)]
