@@ -1,4 +1,4 @@
-"""Machines that nobody designed: each seed draws another mechanism, and up to three things hidden in it. A row a seed.
+"""Machines that nobody designed: each seed draws another mechanism, and up to four things hidden in it. A row a seed.
 
     python benchmarks/drawn_machines.py --seeds 0 1 2 3       # finished rows are kept
     python benchmarks/drawn_machines.py --seeds 0 1 2 3 --positions    # without the velocities
@@ -81,7 +81,7 @@ def draw(seed: int, velocities: bool = True) -> tuple[mujoco.MjSpec, list[Hidden
     rng = np.random.default_rng([seed, 20261130])
     spec, steps = draw_machine(rng)
     model, hidden, kinds = spec.compile(), list[Hidden](), list(rng.permutation(KINDS))
-    while len(hidden) < HOW_MANY[seed % len(HOW_MANY)]:
+    while kinds and len(hidden) < HOW_MANY[seed % len(HOW_MANY)]:
         where = rng.integers((1, 0, 0), (model.nbody, model.nv, model.nu))
         h = kinds.pop()(Place(model, steps * model.opt.timestep, rng, *map(int, where)))
         if h is not None and SEEN < shown(spec, steps, h, rng, velocities) < np.inf:
@@ -129,10 +129,10 @@ def run(seed: int, velocities: bool = True) -> dict:
 def alike(model: mujoco.MjModel, entry: dict) -> set[tuple[str, str]]:
     """Effects and targets that a finding stands for; of all motors is of the one where there is one."""
     names = {(q["effect"], q["target"]) for q in (entry, *entry["equivalent"])}
-    only = {("actuator", model.actuator(0).name)} if model.nu == 1 else set()
-    return names | {(e, name) for e, t in names for kind, name in only if t == "*" and not e.startswith("joint")} | {
-        (e, "*") for e, t in names for _, name in only if t == name
-    }  # fmt: skip
+    if model.nu > 1:
+        return names
+    other = {"*": model.actuator(0).name, model.actuator(0).name: "*"}
+    return names | {(e, other[t]) for e, t in names if t in other and not e.startswith("joint")}
 
 
 def intervals(hidden: Hidden, found: list[dict]) -> list[tuple[float, float]]:

@@ -37,13 +37,7 @@ def draw_machine(rng: Rng) -> tuple[mujoco.MjSpec, int]:
 def add_link(parent: mujoco.MjsBody, i: int, cart: bool, rng: Rng) -> mujoco.MjsBody:
     """A box on a slide, or a rod on a hinge at the end of its parent's."""
     rod = next(iter(parent.geoms), None)
-    at = (
-        np.zeros(3)
-        if rod is None or i == 0
-        else np.asarray(rod.fromto[3:])
-        if np.isfinite(rod.fromto[0])
-        else np.zeros(3)
-    )
+    at = rod.fromto[3:] if rod is not None and np.isfinite(rod.fromto[0]) else np.zeros(3)
     body = parent.add_body(name=f"link{i}", pos=at)
     axis = np.eye(3)[rng.integers(2 if cart else 3)]
     kind = mujoco.mjtJoint.mjJNT_SLIDE if cart else mujoco.mjtJoint.mjJNT_HINGE

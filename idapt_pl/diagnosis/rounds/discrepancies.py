@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from idapt_pl.diagnosis.candidates.trial import Trial
 from idapt_pl.diagnosis.rounds.acceptance import FAR_LOSS
 from idapt_pl.diagnosis.rounds.gates import SURELY_BETTER
+from idapt_pl.diagnosis.rounds.other_beginnings import BETTER_SHARE
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, Progression, SearchState, refit_accepted, renew
 from idapt_pl.estimation.intervals import paired_gain
@@ -26,8 +27,6 @@ MOST_CHOICES = 2
 """Choices that are made otherwise."""
 CLOSE = 1.5
 """Times what the effect chosen left after a rough fit that a rival of its round may have left."""
-LEFT_BY_ANOTHER = 0.75
-"""Share of the loss above noise that must be left then, at most."""
 
 
 def choose_otherwise(
@@ -49,7 +48,7 @@ def choose_otherwise(
         other, trials = go_on((chosen_instead(context, progress[0], t), trials))
         after = context.loss(windows, other.effects)
         gain, error = paired_gain(loss, after, windows.windows.episode)
-        if gain > SURELY_BETTER * error and float(after.mean()) - 1 < LEFT_BY_ANOTHER * (float(loss.mean()) - 1):
+        if gain > SURELY_BETTER * error and float(after.mean()) - 1 < BETTER_SHARE * (float(loss.mean()) - 1):
             log.info("with %s chosen in round %d it is better", t.candidate.label, t.round)
             best, loss = other, after
         if float(loss.mean()) < ABOVE_NOISE:
