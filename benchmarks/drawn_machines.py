@@ -2,14 +2,17 @@
 
     python benchmarks/drawn_machines.py --seeds 0 1 2 3       # finished rows are kept
     python benchmarks/drawn_machines.py --seeds 0 1 2 3 --positions    # without the velocities
+    python benchmarks/drawn_machines.py --seeds 0 1 2 3 --crawlers     # trunks with legs on a floor
     python benchmarks/drawn_machines.py --summary
 
 Two to five links on hinges and slides, in a chain or a tree, on the ground or on a cart; motors, position or velocity
-servos, or some of each; any integrator and time step. What is hidden is drawn too, and put into the compiled model, its
-commands or its readings by no code of the effects. It is drawn again where the model as it was predicts ten control
-steps as well as the sensors see. 12 episodes of 100 control steps; noise of 0.5 mm or mrad, and ten times that of
-velocities. Writes results/drawn_machines.csv: ``right`` says that all that is hidden is named, each by a cause of its
-own, first or among what it could also be, and nothing else is.
+servos, or some of each; any integrator and time step. Crawlers are trunks that fall onto a floor, in the plane, and
+move there by one to three legs of one or two links. What is hidden is drawn too, the floor's friction and softness
+among it, and put into the compiled model, its commands or its readings by no code of the effects. It is drawn again
+where the model as it was predicts ten control steps as well as the sensors see. 12 episodes of 100 control steps; noise
+of 0.5 mm or mrad, and ten times that of velocities. Writes results/drawn_machines.csv or drawn_crawlers.csv: ``right``
+says that all that is hidden is named, each by a cause of its own, first or among what it could also be, and nothing
+else is.
 """
 
 from __future__ import annotations
@@ -27,8 +30,9 @@ import idapt_pl  # noqa: F401, I001  sets the GL backend before MuJoCo is loaded
 import mujoco
 import numpy as np
 from benchmarks.diagnosis import positions_alone
-from benchmarks.drawn.hidden import KINDS, Hidden, Place
-from benchmarks.drawn.machine import draw_machine, play, random_commands, with_hidden
+from benchmarks.drawn.crawler import draw_crawler
+from benchmarks.drawn.hidden import Hidden, Place
+from benchmarks.drawn.machine import Machine, draw_machine, play, random_commands, with_hidden
 from benchmarks.suite_models import NOISE_Q, NOISE_V
 from benchmarks.tables import read_rows, write_rows
 
@@ -47,52 +51,49 @@ HOW_MANY = (0, 1, 1, 2, 2, 3, 4)
 """Things hidden in machines, by the seed."""
 
 
-def record(
-    spec: mujoco.MjSpec, steps: int, hidden: list[Hidden], rng: np.random.Generator
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """States (T+1, nq + nv) and commands (T, nu) of every episode, without noise; a control period has some steps."""
-    model, made = with_hidden(spec, hidden), []
+def record(machine: Machine, hidden: list[Hidden], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+    """States (T+1, nq + nv) and commands (T, nu) of every episode, without noise."""
+    model, made = with_hidden(machine.spec, hidden), []
     data = mujoco.MjData(model)
     for k in range(EPISODES):
         mujoco.mj_resetData(model, data)
-        data.qpos[:] = rng.uniform(-0.5, 0.5, model.nq)
-        data.qvel[:] = 0.3 * rng.normal(size=model.nv)
-        commands = random_commands(model, steps * model.opt.timestep, STEPS, k, rng)
-        made.append((play(model, data, commands, steps, hidden), commands))
+        machine.begin(model, data, rng)
+        commands = random_commands(model, machine.period, STEPS, k, rng)
+        made.append((play(model, data, commands, machine.steps, hidden), commands))
     return made
 
 
-def shown(spec: mujoco.MjSpec, steps: int, hidden: Hidden, rng: np.random.Generator, velocities: bool = True) -> float:
+def shown(machine: Machine, hidden: Hidden, rng: np.random.Generator, velocities: bool = True) -> float:
     """By how many sigmas of the sensors the model as it was errs over ten control steps, in its worst channel."""
-    model, errors = spec.compile(), []
+    model, errors = machine.spec.compile(), []
     data, noise = mujoco.MjData(model), np.repeat([NOISE_Q, NOISE_V], model.nq)
-    for x, u in record(spec, steps, [hidden], rng):
+    for x, u in record(machine, [hidden], rng):
         seen = x + np.concatenate([hidden.offset + np.zeros(model.nq), np.zeros(model.nv)])
         for k in range(3 * AHEAD, STEPS - AHEAD, AHEAD):
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = np.split(seen[k], 2)
-            errors.append((play(model, data, u[k : k + AHEAD], steps, [])[-1] - seen[k + AHEAD]) / noise)
+            errors.append((play(model, data, u[k : k + AHEAD], machine.steps, [])[-1] - seen[k + AHEAD]) / noise)
     measured = slice(None) if velocities else slice(model.nq)
     return float(np.sqrt(np.mean(np.square(errors), 0))[measured].max())
 
 
-def draw(seed: int, velocities: bool = True) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
+def draw(seed: int, velocities: bool = True, crawler: bool = False) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
     """A machine, what is hidden in it, and what its sensors say."""
     rng = np.random.default_rng([seed, 20261130])
-    spec, steps = draw_machine(rng)
-    model, hidden, kinds = spec.compile(), list[Hidden](), list(rng.permutation(KINDS))
+    machine = draw_crawler(rng) if crawler else draw_machine(rng)
+    model, hidden, kinds = machine.spec.compile(), list[Hidden](), list(rng.permutation(machine.kinds))
     while kinds and len(hidden) < HOW_MANY[seed % len(HOW_MANY)]:
-        where = rng.integers((1, 0, 0), (model.nbody, model.nv, model.nu))
-        h = kinds.pop()(Place(model, steps * model.opt.timestep, rng, *map(int, where)))
-        if h is not None and SEEN < shown(spec, steps, h, rng, velocities) < np.inf:
+        where = rng.integers((1, machine.first_joint, 0), (model.nbody, model.nv, model.nu))
+        h = kinds.pop()(Place(model, machine.period, rng, *map(int, where)))
+        if h is not None and SEEN < shown(machine, h, rng, velocities) < np.inf:
             hidden.append(h)
     made, offset = [], sum((h.offset for h in hidden), np.zeros(model.nq))
-    for x, u in record(spec, steps, hidden, rng):
+    for x, u in record(machine, hidden, rng):
         q, v = np.split(x, 2, axis=1)
         seen = {"qpos": q + offset + NOISE_Q * rng.normal(size=q.shape), "qvel": v + NOISE_V * rng.normal(size=v.shape)}
         made.append(Episode(u, seen))
-    data = Trajectories(tuple(made), steps * model.opt.timestep)
-    return spec, hidden, data if velocities else positions_alone(data)
+    data = Trajectories(tuple(made), machine.period)
+    return machine.spec, hidden, data if velocities else positions_alone(data)
 
 
 def matches(truth: list[Hidden], names: list[set[tuple[str, str]]]) -> int:
@@ -104,9 +105,9 @@ def matches(truth: list[Hidden], names: list[set[tuple[str, str]]]) -> int:
     return best
 
 
-def run(seed: int, velocities: bool = True) -> dict:
+def run(seed: int, velocities: bool = True, crawler: bool = False) -> dict:
     """Draw, diagnose, compare."""
-    spec, hidden, data = draw(seed, velocities)
+    spec, hidden, data = draw(seed, velocities, crawler)
     model, started = spec.compile(), time.perf_counter()
     report = diagnose(spec, data, seed=seed).report
     physical = [e for e in report["effects"] if e["effect"] != "numerics"]
@@ -159,14 +160,16 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--seeds", nargs="+", type=int, default=[0])
     p.add_argument("--positions", action="store_true", help="leave the measured velocities out")
+    p.add_argument("--crawlers", action="store_true", help="trunks with legs on a floor")
     p.add_argument("--summary", action="store_true", help="only print the table of what is there")
-    p.add_argument("--out", type=Path, default=ROOT / "results" / "drawn_machines.csv")
+    p.add_argument("--out", type=Path, help="instead of the table of results")
     o = p.parse_args()
-    rows = {(int(r["seed"]), int(r["velocities"])): r for r in read_rows(o.out)}
+    out = o.out or ROOT / "results" / f"drawn_{'crawlers' if o.crawlers else 'machines'}.csv"
+    rows = {(int(r["seed"]), int(r["velocities"])): r for r in read_rows(out)}
     for key in [] if o.summary else [(seed, int(not o.positions)) for seed in o.seeds]:
         if key not in rows:
-            rows[key] = run(key[0], bool(key[1]))
-            write_rows(o.out, [rows[k] for k in sorted(rows)], FIELDS)
+            rows[key] = run(key[0], bool(key[1]), o.crawlers)
+            write_rows(out, [rows[k] for k in sorted(rows)], FIELDS)
             print({k: rows[key][k] for k in FIELDS[:-1]}, flush=True)
     print(summarise(list(rows.values())))
 

@@ -207,7 +207,24 @@ def encoder(at: Place) -> Hidden:
     return Hidden("sensor_bias", at.joint, "bias", size, offset=at.at_joint(size))
 
 
-KINDS = (
+def grip(at: Place) -> Hidden:
+    """Of all that touches the floor, which has the larger friction of the two."""
+    size = at.either((0.15, 0.4), (1.6, 2.5)) * float(at.model.geom_friction[:, 0].max())
+    return Hidden("contact_friction", "*", "sliding", size, lambda m: m.geom_friction[:, 0].fill(size))
+
+
+def give(at: Place) -> Hidden:
+    """Of all that touches: a softer floor."""
+    time_constant = float(at.model.geom_solref[0, 0] * at.rng.uniform(1.8, 4.0))
+    return Hidden(
+        "contact_softness", "*", "time_constant", time_constant, lambda m: m.geom_solref[:, 0].fill(time_constant)
+    )
+
+
+Kind = Callable[[Place], Hidden | None]
+KINDS: tuple[Kind, ...] = (
     *(mass, centre, damping, friction, rotor, spring, drag, ripple),
     *(gain, bias, dead_zone, limit, delay, lag, tilt, encoder),
 )
+ON_A_FLOOR: tuple[Kind, ...] = (*KINDS, grip, give)
+"""Where something touches."""

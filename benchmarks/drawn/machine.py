@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from benchmarks.drawn.hidden import Hidden
+from benchmarks.drawn.hidden import KINDS, Hidden, Kind
 
 INTEGRATORS = ("EULER", "IMPLICITFAST", "IMPLICITFAST", "RK4")
 HELD = 8
@@ -15,8 +16,38 @@ HELD = 8
 Rng = np.random.Generator
 
 
-def draw_machine(rng: Rng) -> tuple[mujoco.MjSpec, int]:
-    """A mechanism without contacts, and the time steps in its control period."""
+@dataclass(frozen=True)
+class Machine:
+    """A mechanism, and what is particular about it.
+
+    Attributes:
+        spec: its model.
+        steps: time steps in its control period.
+        begin: puts it where an episode begins.
+        kinds: of what may be hidden in it.
+        first_joint: the first with something of its own; those before are a trunk's way through the world.
+    """
+
+    spec: mujoco.MjSpec
+    steps: int
+    begin: Callable[[mujoco.MjModel, mujoco.MjData, Rng], None]
+    kinds: Sequence[Kind]
+    first_joint: int = 0
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+        return self.steps * self.spec.option.timestep
+
+
+def anywhere(model: mujoco.MjModel, data: mujoco.MjData, rng: Rng) -> None:
+    """Joints somewhere around zero, moving."""
+    data.qpos[:] = rng.uniform(-0.5, 0.5, model.nq)
+    data.qvel[:] = 0.3 * rng.normal(size=model.nv)
+
+
+def draw_machine(rng: Rng) -> Machine:
+    """A mechanism without contacts."""
     spec = mujoco.MjSpec()
     spec.modelname, spec.option.timestep = "drawn", float(rng.choice([0.001, 0.002, 0.004]))
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{rng.choice(INTEGRATORS)}")
@@ -31,7 +62,8 @@ def draw_machine(rng: Rng) -> tuple[mujoco.MjSpec, int]:
         j.armature = inertia * rng.uniform(0.0, 0.4)
         j.frictionloss = inertia * rng.uniform(0.1, 1.0) if rng.random() < 0.3 else 0.0
     add_motors(spec, spec.compile(), rng)
-    return spec, round(float(rng.choice([0.01, 0.02, 0.04])) / spec.option.timestep)
+    steps = round(float(rng.choice([0.01, 0.02, 0.04])) / spec.option.timestep)
+    return Machine(spec, steps, anywhere, KINDS)
 
 
 def add_link(parent: mujoco.MjsBody, i: int, cart: bool, rng: Rng) -> mujoco.MjsBody:
