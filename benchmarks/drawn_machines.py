@@ -128,8 +128,12 @@ def run(seed: int, velocities: bool = True, crawler: bool = False) -> dict:
 
 
 def alike(model: mujoco.MjModel, entry: dict) -> set[tuple[str, str]]:
-    """Effects and targets that a finding stands for; of all motors is of the one where there is one."""
+    """Effects and targets that a finding stands for.
+
+    Of all motors is of the one where there is one; of the floor is of all that touches, as all touch the floor.
+    """
     names = {(q["effect"], q["target"]) for q in (entry, *entry["equivalent"])}
+    names |= {(e, "*") for e, t in names if t == "floor"}
     if model.nu > 1:
         return names
     other = {"*": model.actuator(0).name, model.actuator(0).name: "*"}

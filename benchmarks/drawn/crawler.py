@@ -23,13 +23,14 @@ def draw_crawler(rng: Rng) -> Machine:
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, **floor)
     trunk, length, mass = add_trunk(spec, rng)
     legs = int(rng.integers(1, 4))
+    load = 0.2 * 9.81 * mass / legs
     for i in range(legs):
         add_leg(trunk, i, length * (0.0 if legs == 1 else i / (legs - 1) - 0.5), rng)
     model = spec.compile()
     for j, inertia in zip(spec.joints[len(ROOT) :], model.dof_M0[len(ROOT) :], strict=True):
-        j.damping[0] = inertia * rng.uniform(1.0, 4.0)
+        j.damping[0] = inertia * rng.uniform(1.0, 4.0) + load / rng.uniform(20.0, 50.0)
         j.armature = inertia * rng.uniform(0.1, 0.6)
-    add_drives(spec, spec.compile(), mass / legs, rng)
+    add_drives(spec, spec.compile(), load, rng)
     steps = round(float(rng.choice([0.01, 0.02])) / spec.option.timestep)
     return Machine(spec, steps, put_on_floor, ON_A_FLOOR, len(ROOT))
 
@@ -52,19 +53,19 @@ def add_leg(trunk: mujoco.MjsBody, i: int, at: float, rng: Rng) -> None:
     for k in range(int(rng.integers(1, 3))):
         name, long, thick = f"leg{i}_{k}", rng.uniform(0.12, 0.3), rng.uniform(0.015, 0.03)
         parent = parent.add_body(name=name, pos=where)
-        parent.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
+        joint = parent.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
+        joint.limited, joint.range = 1, np.degrees([-1, 1] * rng.uniform(0.8, 2.0, 2))
         rod = {"fromto": [0, 0, 0, 0, 0, -long], "size": [thick, 0, 0], "mass": rng.uniform(0.1, 0.6)}
         parent.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, contype=0, conaffinity=1, **rod)
         where = [0.0, 0.0, -long]
 
 
-def add_drives(spec: mujoco.MjSpec, model: mujoco.MjModel, carried: float, rng: Rng) -> None:
-    """A motor or servo for every joint of a leg, strong enough for the mass in kg that a leg carries."""
+def add_drives(spec: mujoco.MjSpec, model: mujoco.MjModel, load: float, rng: Rng) -> None:
+    """A motor or servo for every joint of a leg, strong enough for a torque that its load asks for, N m."""
     kind = rng.choice(["motor", "position", "position"])
     for v in range(len(ROOT), model.nv):
-        name, inertia, load = f"leg_{v}", float(model.dof_M0[v]), 0.2 * 9.81 * carried
-        target = model.joint(v).name
-        a = spec.add_actuator(name=name, target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrllimited=1)
+        inertia, target = float(model.dof_M0[v]), model.joint(v).name
+        a = spec.add_actuator(name=target, target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrllimited=1)
         if kind == "motor":
             a.set_to_motor()
             a.gear[0] = rng.uniform(1, 30)

@@ -192,13 +192,22 @@ def lag(at: Place) -> Hidden:
     return Hidden("actuator_lag", "*", "time_constant", time_constant, lag=time_constant)
 
 
+def turned(name: str, angle: float, x: float, y: float) -> Hidden:
+    """Gravity with a horizontal part, of its strength as it was."""
+    gravity = 9.81 * np.array([x, y, -np.cos(angle)])
+    return Hidden("gravity_direction", "world", name, angle, lambda m: m.opt.gravity.__setitem__(slice(None), gravity))
+
+
 def tilt(at: Place) -> Hidden:
     """Of the base."""
     angle = at.either((-0.15, -0.05), (0.05, 0.15))
-    gravity = 9.81 * np.array([0, np.sin(angle), -np.cos(angle)])
-    return Hidden(
-        "gravity_direction", "world", "tilt_x", angle, lambda m: m.opt.gravity.__setitem__(slice(None), gravity)
-    )
+    return turned("tilt_x", angle, 0.0, np.sin(angle))
+
+
+def slope(at: Place) -> Hidden:
+    """Of a floor, under what moves in the plane."""
+    angle = at.either((-0.15, -0.05), (0.05, 0.15))
+    return turned("tilt_y", angle, -np.sin(angle), 0.0)
 
 
 def encoder(at: Place) -> Hidden:
@@ -226,5 +235,5 @@ KINDS: tuple[Kind, ...] = (
     *(mass, centre, damping, friction, rotor, spring, drag, ripple),
     *(gain, bias, dead_zone, limit, delay, lag, tilt, encoder),
 )
-ON_A_FLOOR: tuple[Kind, ...] = (*KINDS, grip, give)
-"""Where something touches."""
+ON_A_FLOOR: tuple[Kind, ...] = (*(k for k in KINDS if k is not tilt), slope, grip, give)
+"""What moves in the plane, and touches."""
