@@ -47,6 +47,8 @@ FIELDS = (
 EPISODES, STEPS, AHEAD = 12, 100, 10
 SEEN = 3.0
 """Sigmas of a sensor by which the model as it was must err, over ``AHEAD`` control steps, for what is hidden."""
+BURSTS = 1e6
+"""The same from which on it is the simulation with what is hidden that errs: a drag at too long a time step."""
 HOW_MANY = (0, 1, 1, 2, 2, 3, 4)
 """Things hidden in machines, by the seed."""
 
@@ -85,7 +87,7 @@ def draw(seed: int, velocities: bool = True, crawler: bool = False) -> tuple[muj
     while kinds and len(hidden) < HOW_MANY[seed % len(HOW_MANY)]:
         where = rng.integers((1, machine.first_joint, 0), (model.nbody, model.nv, model.nu))
         h = kinds.pop()(Place(model, machine.period, rng, *map(int, where)))
-        if h is not None and SEEN < shown(machine, h, rng, velocities) < np.inf:
+        if h is not None and SEEN < shown(machine, h, rng, velocities) < BURSTS:
             hidden.append(h)
     made, offset = [], sum((h.offset for h in hidden), np.zeros(model.nq))
     for x, u in record(machine, hidden, rng):

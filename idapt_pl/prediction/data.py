@@ -158,7 +158,7 @@ def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tup
     """Positions and velocities (None where they were not measured) of an episode that fits the model.
 
     Raises:
-        UnusableData: one is missing, is not finite or has another shape than the model asks for.
+        UnusableData: one is missing, is not finite, absurdly large, or has another shape than the model asks for.
     """
     seen = episode.observations
     qpos, qvel = seen.get("qpos"), seen.get("qvel")
@@ -183,6 +183,12 @@ def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tup
         if not np.isfinite(array).all():
             row = int(np.flatnonzero(~np.isfinite(array).all(1))[0])
             raise UnusableData(f"{where}: {name} holds NaN or infinite values, first in row {row}")
+        if (far := np.abs(array) >= mujoco.mjMAXVAL).any():
+            row, column = np.argwhere(far)[0]
+            raise UnusableData(
+                f"{where}: {name} holds {array[row, column]:.2g} in column {column}, row {row}, beyond the "
+                f"{mujoco.mjMAXVAL:g} at which MuJoCo gives a state up; leave this episode out, or map its columns again"
+            )
     return qpos, qvel
 
 

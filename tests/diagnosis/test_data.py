@@ -23,9 +23,13 @@ def test_windows_stay_inside_episodes_and_do_not_overlap():
     [
         (lambda q, a: (q[:, :1], a), r"episode_0: qpos has shape \(81, 1\), but the model has 2"),
         (lambda q, a: (np.where(np.arange(81)[:, None] == 7, np.nan, q), a), "qpos holds NaN .* first in row 7"),
+        (
+            lambda q, a: (np.where(np.arange(81)[:, None] == 7, [0, 2e12], q), a),
+            "qpos holds 2e\\+12 in column 1, row 7",
+        ),
         (lambda q, a: (q, a[:, :1]), r"actions has shape \(80, 1\), but the model has 2 actuators"),
     ],
-    ids=["shape", "nan", "actions"],
+    ids=["shape", "nan", "absurd", "actions"],
 )
 def test_unusable_recordings_are_refused_by_name(spoil, message):
     good = record(episodes=2)
