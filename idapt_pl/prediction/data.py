@@ -187,7 +187,7 @@ def measured_signals(model: mujoco.MjModel, where: str, episode: Episode) -> tup
             row, column = np.argwhere(far)[0]
             raise UnusableData(
                 f"{where}: {name} holds {array[row, column]:.2g} in column {column}, row {row}, beyond the "
-                f"{mujoco.mjMAXVAL:g} at which MuJoCo gives a state up; leave this episode out, or map its columns again"
+                f"{mujoco.mjMAXVAL:g} at which MuJoCo gives a state up; leave this episode out, or map its columns anew"
             )
     return qpos, qvel
 

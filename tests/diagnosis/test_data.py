@@ -25,7 +25,7 @@ def test_windows_stay_inside_episodes_and_do_not_overlap():
         (lambda q, a: (np.where(np.arange(81)[:, None] == 7, np.nan, q), a), "qpos holds NaN .* first in row 7"),
         (
             lambda q, a: (np.where(np.arange(81)[:, None] == 7, [0, 2e12], q), a),
-            "qpos holds 2e\\+12 in column 1, row 7",
+            r"2e\+12 in column 1, row 7",
         ),
         (lambda q, a: (q, a[:, :1]), r"actions has shape \(80, 1\), but the model has 2 actuators"),
     ],
