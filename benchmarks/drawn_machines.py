@@ -53,6 +53,10 @@ HOW_MANY = (0, 1, 1, 2, 2, 3, 4)
 """Things hidden in machines, by the seed."""
 
 
+class SimulationBursts(ValueError):
+    """What is hidden makes the simulation unstable."""
+
+
 def record(machine: Machine, hidden: list[Hidden], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
     """States (T+1, nq + nv) and commands (T, nu) of every episode, without noise."""
     model, made = with_hidden(machine.spec, hidden), []
@@ -80,7 +84,11 @@ def shown(machine: Machine, hidden: Hidden, rng: np.random.Generator, velocities
 
 
 def draw(seed: int, velocities: bool = True, crawler: bool = False) -> tuple[mujoco.MjSpec, list[Hidden], Trajectories]:
-    """A machine, what is hidden in it, and what its sensors say."""
+    """A machine, what is hidden in it, and what its sensors say.
+
+    Raises:
+        SimulationBursts: all that is hidden together does that, though no part alone did.
+    """
     rng = np.random.default_rng([seed, 20261130])
     machine = draw_crawler(rng) if crawler else draw_machine(rng)
     model, hidden, kinds = machine.spec.compile(), list[Hidden](), list(rng.permutation(machine.kinds))
@@ -93,6 +101,8 @@ def draw(seed: int, velocities: bool = True, crawler: bool = False) -> tuple[muj
     for x, u in record(machine, hidden, rng):
         q, v = np.split(x, 2, axis=1)
         seen = {"qpos": q + offset + NOISE_Q * rng.normal(size=q.shape), "qvel": v + NOISE_V * rng.normal(size=v.shape)}
+        if not (np.abs(x) < BURSTS * NOISE_V).all():
+            raise SimulationBursts(f"seed {seed}")
         made.append(Episode(u, seen))
     data = Trajectories(tuple(made), machine.period)
     return machine.spec, hidden, data if velocities else positions_alone(data)
@@ -174,7 +184,11 @@ def main() -> None:
     rows = {(int(r["seed"]), int(r["velocities"])): r for r in read_rows(out)}
     for key in [] if o.summary else [(seed, int(not o.positions)) for seed in o.seeds]:
         if key not in rows:
-            rows[key] = run(key[0], bool(key[1]), o.crawlers)
+            try:
+                rows[key] = run(key[0], bool(key[1]), o.crawlers)
+            except SimulationBursts as burst:
+                print(f"{burst}: no machine, as its simulation bursts", flush=True)
+                continue
             write_rows(out, [rows[k] for k in sorted(rows)], FIELDS)
             print({k: rows[key][k] for k in FIELDS[:-1]}, flush=True)
     print(summarise(list(rows.values())))
