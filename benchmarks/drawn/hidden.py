@@ -217,8 +217,8 @@ def encoder(at: Place) -> Hidden:
 
 
 def grip(at: Place) -> Hidden:
-    """Of all that touches the floor, which has the larger friction of the two."""
-    size = at.either((0.15, 0.4), (1.6, 2.5)) * float(at.model.geom_friction[:, 0].max())
+    """Of all that touches the floor; what is above 2 no floor has."""
+    size = min(at.either((0.15, 0.4), (1.4, 1.9)) * float(at.model.geom_friction[:, 0].max()), 1.9)
     return Hidden("contact_friction", "*", "sliding", size, lambda m: m.geom_friction[:, 0].fill(size))
 
 
