@@ -1,7 +1,7 @@
 """``idapt import``: recordings as a trajectory file.
 
-CSV, NPZ, JSON lines, HDF5, Minari, LeRobot, MCAP, rosbag2 (.db3 or a bag's folder) and PX4's ULog (.ulg) are read; no
-ROS is needed. A map says which column is which; --draft-map guesses it. See docs/guide/import.md.
+CSV, NPZ, JSON lines, HDF5, Minari, LeRobot, MCAP, bags of ROS 1 (.bag) and ROS 2 (.db3 or a folder) and PX4's ULog
+(.ulg) are read; no ROS is needed. A map says which column is which; --draft-map guesses it. See docs/guide/import.md.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from datamodules.recordings.read_lerobot import read_lerobot
 from datamodules.recordings.read_mcap import read_mcap
 from datamodules.recordings.read_minari import read_minari
 from datamodules.recordings.read_npz import read_npz
+from datamodules.recordings.read_rosbag1 import read_rosbag1
 from datamodules.recordings.read_rosbag2 import read_rosbag2
 from datamodules.recordings.read_ulog import read_ulog
 from datamodules.recordings.recorded import Recorded
@@ -25,6 +26,7 @@ FORMATS: dict[str, Callable[[Path, Mapping], list[Recorded]]] = {
     "minari": read_minari,
     "lerobot": read_lerobot,
     "mcap": read_mcap,
+    "rosbag1": read_rosbag1,
     "rosbag2": read_rosbag2,
     "ulog": read_ulog,
     "jsonl": read_jsonl,
@@ -32,7 +34,7 @@ FORMATS: dict[str, Callable[[Path, Mapping], list[Recorded]]] = {
 
 SUFFIXES = {
     **{".csv": "csv", ".tsv": "csv", ".txt": "csv", ".npz": "npz", ".mcap": "mcap", ".parquet": "lerobot"},
-    **{".hdf5": "minari", ".h5": "minari", ".db3": "rosbag2", ".ulg": "ulog", ".jsonl": "jsonl"},
+    **{".hdf5": "minari", ".h5": "minari", ".bag": "rosbag1", ".db3": "rosbag2", ".ulg": "ulog", ".jsonl": "jsonl"},
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -153,9 +154,12 @@ def _labelled(name: str, value: Any, labels: Any) -> dict[str, Any]:
 
 
 def _fields(message: Any) -> dict[str, Any] | None:
-    """Fields of a message by name: JSON object, protobuf message or decoded ROS 2 message; None for a value."""
+    """Fields of a message by name: JSON object, protobuf message or decoded ROS message; None for a value."""
     if isinstance(message, dict):
         return message
+    if dataclasses.is_dataclass(message):
+        names = [field.name for field in dataclasses.fields(message) if not field.name.startswith("_")]
+        return {name: getattr(message, name) for name in names}
     if (descriptor := getattr(message, "DESCRIPTOR", None)) is not None:
         return {field.name: getattr(message, field.name) for field in descriptor.fields}
     slots = getattr(type(message), "__slots__", ())

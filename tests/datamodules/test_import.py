@@ -759,7 +759,7 @@ def test_bad_usage_is_2_and_a_mistake_in_the_data_1(csv, write_map, tmp_path, ca
 
 
 def test_every_format_has_a_reader_that_names_its_episodes(csv):
-    assert set(FORMATS) == {"csv", "npz", "minari", "lerobot", "mcap", "rosbag2", "ulog", "jsonl"}
+    assert set(FORMATS) == {"csv", "npz", "minari", "lerobot", "mcap", "rosbag1", "rosbag2", "ulog", "jsonl"}
     mapping = parse_mapping(MAP)
     (episode,) = read_recording(csv, mapping)
     assert str(csv) in episode.source and convert([episode], mapping).trajectories.total_steps == 20

@@ -66,7 +66,7 @@ def test_files_that_are_no_map(kind, folder):
 
 @pytest.mark.parametrize("kind", NO_YAML)
 @pytest.mark.parametrize(
-    "name", ["a.csv", "a.npz", "a.h5", "a.hdf5", "a.mcap", "a.parquet", "a.db3", "a.ulg", "a.jsonl"]
+    "name", ["a.csv", "a.npz", "a.h5", "a.hdf5", "a.mcap", "a.parquet", "a.bag", "a.db3", "a.ulg", "a.jsonl"]
 )
 def test_files_that_are_no_recording(kind, name, folder):
     (folder / name).write_bytes(NO_YAML[kind])
@@ -148,7 +148,7 @@ def test_drafts_of_damaged_inputs(name, seed, folder):
     ["import", "a.csv", "--map", "map.yaml", "--model", "model.xml", "--out", "./x/../model.xml"],
     ["import", "a.csv", "--map", "map.yaml", "--out", "a.csv/o.h5"], ["import", "a.csv", "--map", "map.yaml", "--out", "."],
     ["import", "a.csv", "--map", "map.yaml", "--out", ""], ["import", "a.csv", "--map", "map.yaml", "--format", "xls", "--dry-run"],
-    *(["import", "a.csv", "--map", "map.yaml", "--format", f, "--out", "o.h5"] for f in ("npz", "minari", "lerobot", "mcap", "rosbag2", "ulog", "jsonl")),
+    *(["import", "a.csv", "--map", "map.yaml", "--format", f, "--out", "o.h5"] for f in ("npz", "minari", "lerobot", "mcap", "rosbag1", "rosbag2", "ulog", "jsonl")),
     ["import", "a.csv", "--map", "map.yaml", "--draft-map", "d.yaml", "--model", "model.xml"],
     ["import", "a.csv", "--draft-map", "d.yaml"], ["import", "a.csv", "--draft-map", "map.yaml", "--model", "model.xml"],
     ["import", "none.csv", "--draft-map", "d.yaml", "--model", "model.xml"], ["import", "a.csv", "--draft-map", "a.csv/d.yaml", "--model", "model.xml"],
