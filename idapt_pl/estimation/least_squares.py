@@ -44,6 +44,9 @@ BENEFIT_OF_THE_DOUBT = 3.0
 OUT_OF_LINE = 10.0
 """Times the slope of nine of ten windows that one window's may be, at most, where slopes say which way to go."""
 
+OUTLIER, FEW = 10.0, 0.05
+"""Times their median from which on windows' losses are out of line, where no more than this share of them are."""
+
 
 def one_by_one(residual: Residual, places: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Residuals at several places, one after the other."""
@@ -59,6 +62,21 @@ def huber(z: np.ndarray) -> np.ndarray:
 def robust_loss(z: np.ndarray) -> np.ndarray:
     """Mean robust loss of each window, 1 where the model is right and the noise as assumed: (n, rows) to (n,)."""
     return huber(z).mean(1)
+
+
+def usual_windows(losses: np.ndarray) -> np.ndarray:
+    """Windows whose loss is not out of line, by a mark each, (n,); all where more than a few would be.
+
+    Where the noise decides when a foot touches the floor, one window of fifty may leave a hundred times what the others
+    do under the right model, and hold most of the error. Where many do, something is missing.
+    """
+    usual = losses <= OUTLIER * np.median(losses)
+    return usual if np.mean(~usual) <= FEW else np.ones(len(losses), bool)
+
+
+def typical_loss(losses: np.ndarray) -> float:
+    """Mean of the losses of windows, (n,), that are not out of line."""
+    return float(losses[usual_windows(losses)].mean())
 
 
 def huber_weights(z: np.ndarray, threshold: float = HUBER) -> np.ndarray:

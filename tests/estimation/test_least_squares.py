@@ -16,6 +16,8 @@ from idapt_pl.estimation.least_squares import (
     normal_equations,
     project_out,
     robust_loss,
+    typical_loss,
+    usual_windows,
 )
 
 TIME = np.linspace(0, 3, 60)
@@ -232,3 +234,12 @@ def test_a_window_that_jumps_with_the_parameter_does_not_stop_a_fit():
 
     fit = gauss_newton(residual, np.array([0.0]), ParameterBox(np.array([0.1]), np.array([-2.0]), np.array([2.0])))
     assert fit.x[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_few_windows_out_of_line_do_not_count_and_many_do():
+    losses = np.concatenate([np.linspace(0.5, 1.5, 57), [80.0, 300.0]])
+    assert usual_windows(losses).tolist() == [True] * 57 + [False] * 2
+    assert typical_loss(losses) == pytest.approx(1.0) and losses.mean() > 7
+    many = np.concatenate([np.linspace(0.5, 1.5, 50), np.full(9, 80.0)])
+    assert usual_windows(many).all() and typical_loss(many) == many.mean(), "so many say that something is missing"
+    assert usual_windows(10 * losses[:57]).all(), "what all windows leave is in line, however much it is"

@@ -18,11 +18,12 @@ from idapt_pl.diagnosis.rounds.other_beginnings import BETTER_SHARE
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, Progression, SearchState, refit_accepted, renew
 from idapt_pl.estimation.intervals import paired_gain
+from idapt_pl.estimation.least_squares import typical_loss
 from idapt_pl.prediction.force_windows import judges_forces
 
 log = logging.getLogger(__name__)
 ABOVE_NOISE = 1.2
-"""Mean held-out loss (1 is noise) above which choices are made otherwise."""
+"""Typical held-out loss (1 is noise) above which choices are made otherwise."""
 MOST_CHOICES = 2
 """Choices that are made otherwise."""
 CLOSE = 1.5
@@ -42,7 +43,7 @@ def choose_otherwise(
     best, trials = progress
     windows = best.windows.held_out
     loss = context.loss(windows, best.effects)
-    if len(best.accepted) < 2 or judges_forces(windows) or not ABOVE_NOISE < float(loss.mean()) < FAR_LOSS:
+    if len(best.accepted) < 2 or judges_forces(windows) or not ABOVE_NOISE < typical_loss(loss) < FAR_LOSS:
         return progress
     for t in close_choices(*progress)[:MOST_CHOICES]:
         other, trials = go_on((chosen_instead(context, progress[0], t), trials))
@@ -51,7 +52,7 @@ def choose_otherwise(
         if gain > SURELY_BETTER * error and float(after.mean()) - 1 < BETTER_SHARE * (float(loss.mean()) - 1):
             log.info("with %s chosen in round %d it is better", t.candidate.label, t.round)
             best, loss = other, after
-        if float(loss.mean()) < ABOVE_NOISE:
+        if typical_loss(loss) < ABOVE_NOISE:
             break
     return best, trials
 

@@ -13,20 +13,26 @@ from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.end_stops import JointRange
 from idapt_pl.effects.signals import ActuatorDelay, ActuatorLag
 from idapt_pl.estimation.intervals import half_widths, unknown_variance, unseen
+from idapt_pl.estimation.least_squares import usual_windows
+from idapt_pl.prediction.force_windows import judges_forces
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 HALVINGS = 8
 """Of the way to nominal, until the end of an open interval is known to a part in 250."""
 
 
 def measure_intervals(context: SearchContext, state: SearchState) -> SearchState:
-    """Fit once more, without shortcuts, and put 95 % intervals on the estimates."""
+    """Fit once more, without shortcuts, and put 95 % intervals on the estimates.
+
+    Windows that are out of line say nothing: where a contact begins otherwise than it did, slopes are steep and wrong.
+    """
     if not state.accepted:
         return state
-    windows = state.windows.fit
+    windows = windows_in_line(context, state)
     fit = context.fit(windows, state.fixed, state.candidates, state.estimates, 8, exact=True)
     state = state.with_estimates(fit.x)
     by_chance = half_widths(fit.solution, windows.clusters)
-    unknown = unknown_variance(fit.solution, systematic_changes(context, state))
+    unknown = unknown_variance(fit.solution, systematic_changes(context, state, windows))
     width = np.hypot(by_chance, norm.ppf(0.975) * np.sqrt(unknown))
     width[unseen(fit.solution.J.T @ fit.solution.J)] = np.inf
     halves = split_parameters(state.candidates, width * np.concatenate([c.scale for c in state.candidates]))
@@ -77,12 +83,20 @@ def far_end(a: AcceptedEffect, x: float) -> float:
     return float(a.candidate.bounds()[int(x > a.candidate.nominal[0])][0])
 
 
-def systematic_changes(context: SearchContext, state: SearchState) -> list[np.ndarray]:
-    """What each systematic error of the sensors would change in the residuals fitted to, (n, rows) each."""
-    windows, effects = state.windows, state.effects
-    now = context.whitened(windows.fit, effects)
+def windows_in_line(context: SearchContext, state: SearchState) -> WhitenedWindows:
+    """The windows fitted to, without those out of line; all of them where forces are judged."""
+    windows = state.windows.fit
+    if judges_forces(windows):
+        return windows
+    return windows[np.flatnonzero(usual_windows(context.loss(windows, state.effects)))]
+
+
+def systematic_changes(context: SearchContext, state: SearchState, windows: WhitenedWindows) -> list[np.ndarray]:
+    """What each systematic error of the sensors would change in the residuals of windows, (n, rows) each."""
+    effects = state.effects
+    now = context.whitened(windows, effects)
     return context.sim.side_by_side.map(
-        lambda error: context.whitened(windows.fit, (*effects, error)) - now, windows.noise.systematic
+        lambda error: context.whitened(windows, (*effects, error)) - now, state.windows.noise.systematic
     )
 
 

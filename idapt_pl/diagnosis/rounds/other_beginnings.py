@@ -12,6 +12,7 @@ from collections.abc import Callable
 from idapt_pl.diagnosis.rounds.gates import LEFT_OVER
 from idapt_pl.diagnosis.state.context import SearchContext
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, Progression, SearchState, refit_accepted, renew
+from idapt_pl.estimation.least_squares import typical_loss
 from idapt_pl.prediction.force_windows import judges_forces
 
 log = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ def begin_otherwise(
     windows = state.windows.held_out
 
     def left(found: SearchState) -> float:
-        return float(context.loss(windows, found.effects).mean()) - 1
+        return typical_loss(context.loss(windows, found.effects)) - 1
 
     poor = state.accepted and left(state) > POOR_SHARE * left(SearchState(state.fixed, (), state.windows))
     if not poor or len(state.accepted) > FEW_FOUND or left(state) < LEFT_OVER - 1 or judges_forces(windows):
