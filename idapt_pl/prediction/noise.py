@@ -23,6 +23,14 @@ It is no noise: it goes with what the machine does, as a wrong mass does."""
 NOISE_OF_WIDTHS = 2.5
 """Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
 
+TINY = (1e-5, 1e-4)
+"""Changes of a first position and velocity by which is seen, at first, how a residual depends on them."""
+
+SIZES = 2
+"""How often noise is estimated from measured velocities: at first with slopes of tiny changes, then of its own size.
+
+A leg on a stiff floor answers to tiny changes ten times as much as to noise, which lifts it."""
+
 PRIOR_WEIGHT = 0.2
 """Weight of the first guess of a variance, in units of what a residual of every window weighs."""
 
@@ -96,9 +104,11 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
         windows: short ones, of two control steps where velocities were measured.
     """
     if sim.velocities:
-        residual, A = noise_from_steps(sim, effects, windows)
         limit = np.concatenate(smoothness_noise(sim.model, sim.data, True))
-        sigma = bounded_noise(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
+        sigma = tiny = np.repeat(TINY, sim.model.nv)
+        for _ in range(SIZES):
+            residual, A = noise_from_steps(sim, effects, windows, np.maximum(sigma, tiny))
+            sigma = bounded_noise(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
         return Noise(sigma, sigma)
     slope, limit = slope_of(sim.data), smoothness_noise(sim.model, sim.data, False)[0]
     residual, A = noise_from_windows(sim, effects, windows, slope)
@@ -162,14 +172,17 @@ def shares_of_widths(sim: Simulator, slope: SlopeOfPositions) -> np.ndarray:
     return np.concatenate([np.diag(NOISE_OF_WIDTHS / slope.seconds**2 / total), np.diag(9 / total)], 1)
 
 
-def noise_from_steps(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+def noise_from_steps(
+    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Changes from one single-step residual to the next, (n, 1, channels), and A with their variances A v.
 
     With noise n_k of sample k, a residual is n_{k+1} + S_k n_k. What the model gets wrong mostly lasts longer than a
     control step, and cancels in e_{k+1} - e_k = n_{k+2} + (S_{k+1} - 1) n_{k+1} - S_k n_k.
+    S is over changes of that ``size``.
     """
     first, second = (Windows(windows.episode, windows.start + k, np.array([1])) for k in (0, 1))
-    (e0, S0), (e1, S1) = (residual_slopes(sim, effects, w) for w in (first, second))
+    (e0, S0), (e1, S1) = (residual_slopes(sim, effects, w, size) for w in (first, second))
     one = np.eye(e0.shape[-1])
     return e1 - e0, one + np.square(S1 - one) + np.square(S0)
 
@@ -182,7 +195,7 @@ def noise_from_windows(
     The velocity that a window starts with is a slope. So it has the noise of two positions, one of which may be
     compared as well, and what bending does to it, the second half of v.
     """
-    residual, S = residual_slopes(sim, effects, windows)
+    residual, S = residual_slopes(sim, effects, windows, np.repeat(TINY, sim.model.nv))
     S, nv = S[:, :2], sim.model.nv
     by_noise = S[..., nv:] / slope.seconds
     same = (windows.offsets[:2] == slope.reach)[:, None, None]
@@ -190,10 +203,13 @@ def noise_from_windows(
     return residual[:, :2], np.concatenate([A, np.square(S[..., nv:])], -1)
 
 
-def residual_slopes(sim: Simulator, effects: Effects, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (n, j, channels) and their derivatives with respect to the first state, (n, j, channels, 2 nv)."""
-    base, small = sim.residual(effects, windows), np.repeat([1e-5, 1e-4], sim.model.nv)
-    return base, np.stack([(sim.residual(effects, windows, n) - base) / n.sum() for n in np.diag(small)], -1)
+def residual_slopes(
+    sim: Simulator, effects: Effects, windows: Windows, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n, j, channels) and their slopes over changes of the first state by ``size``, (..., 2 nv)."""
+    two_sided = ((sim.residual(effects, windows, n), sim.residual(effects, windows, -n)) for n in np.diag(size))
+    slopes_of = [(above - below) / (2 * s) for (above, below), s in zip(two_sided, size, strict=True)]
+    return sim.residual(effects, windows), np.stack(slopes_of, -1)
 
 
 def fit_variances(A: np.ndarray, residual: np.ndarray, shares: np.ndarray | None = None, rounds: int = 8) -> np.ndarray:
