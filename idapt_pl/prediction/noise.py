@@ -23,10 +23,10 @@ It is no noise: it goes with what the machine does, as a wrong mass does."""
 NOISE_OF_WIDTHS = 2.5
 """Variance of how slopes over one and over two reaches differ by noise, in units of the positions' over one width²."""
 
-TINY = (1e-5, 1e-4)
+FIRST_NUDGES = (1e-5, 1e-4)
 """Changes of a first position and velocity by which is seen, at first, how a residual depends on them."""
 
-SIZES = 2
+NOISE_PASSES = 2
 """How often noise is estimated from measured velocities: at first with slopes of tiny changes, then of its own size.
 
 A leg on a stiff floor answers to tiny changes ten times as much as to noise, which lifts it."""
@@ -105,8 +105,8 @@ def estimate_noise(sim: Simulator, effects: Effects, windows: Windows) -> Noise:
     """
     if sim.velocities:
         limit = np.concatenate(smoothness_noise(sim.model, sim.data, True))
-        sigma = tiny = np.repeat(TINY, sim.model.nv)
-        for _ in range(SIZES):
+        sigma = tiny = np.repeat(FIRST_NUDGES, sim.model.nv)
+        for _ in range(NOISE_PASSES):
             residual, A = noise_from_steps(sim, effects, windows, np.maximum(sigma, tiny))
             sigma = bounded_noise(sim, 0.01 * limit + 1e-9, np.sqrt(fit_variances(A, residual)), limit)
         return Noise(sigma, sigma)
@@ -195,7 +195,7 @@ def noise_from_windows(
     The velocity that a window starts with is a slope. So it has the noise of two positions, one of which may be
     compared as well, and what bending does to it, the second half of v.
     """
-    residual, S = residual_slopes(sim, effects, windows, np.repeat(TINY, sim.model.nv))
+    residual, S = residual_slopes(sim, effects, windows, np.repeat(FIRST_NUDGES, sim.model.nv))
     S, nv = S[:, :2], sim.model.nv
     by_noise = S[..., nv:] / slope.seconds
     same = (windows.offsets[:2] == slope.reach)[:, None, None]
