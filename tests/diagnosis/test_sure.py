@@ -10,7 +10,7 @@ import pytest
 from idapt_pl.diagnosis.candidates.fit import CandidateFit
 from idapt_pl.diagnosis.last_resort import is_narrower
 from idapt_pl.diagnosis.rounds import replay
-from idapt_pl.diagnosis.rounds.measurement import measure_intervals
+from idapt_pl.diagnosis.rounds.measurement import measure_intervals, windows_in_line
 from idapt_pl.diagnosis.state.search_state import AcceptedEffect, SearchState
 from idapt_pl.effects.candidate import Candidate
 from idapt_pl.effects.joints import JointDamping, JointStribeck
@@ -19,6 +19,7 @@ from idapt_pl.effects.world import GravityDirection
 from idapt_pl.estimation.least_squares import LeastSquaresFit
 from idapt_pl.prediction.data import Recording, Windows, choose_rows, over_impacts, with_impacts
 from idapt_pl.prediction.side_by_side import SideBySide
+from idapt_pl.prediction.whitening import WhitenedWindows
 
 DELAY = Candidate(ActuatorDelay, "*", ("delay",), (0.0,), (0.02,))
 FALLING = Candidate(JointStribeck, "a", ("coulomb", "static", "speed"), (0.0, 0.0, 1.0), (0.1, 0.1, 1.0), strength=2)
@@ -114,12 +115,13 @@ def test_what_no_recording_shows_may_be_anything_in_its_range():
     span, names = ((0.0, 1.0), (-0.5, 2.0)), ("time_constant", "dead_time")
     two = Candidate(ActuatorLag, "*", names, (0.0, 0.0), (0.02, 0.02), span=span)
     episode = np.repeat(np.arange(8), 5)
-    windows = SimpleNamespace(windows=Windows(episode, np.arange(40), np.array([1])), clusters=episode)
+    windows = WhitenedWindows(Windows(episode, np.arange(40), np.array([1])), np.ones((40, 5, 1)))
     state = SearchState((), (AcceptedEffect(0, two, np.zeros(2)),), SimpleNamespace(fit=windows, noise=NO_ERRORS))
     solution = LeastSquaresFit(np.array([0.3, 0.1]), 1.0, J, z)
     context = SimpleNamespace(
         fit=lambda *args, **options: CandidateFit((solution.x,), solution),
         whitened=lambda split, effects: z,
+        loss=lambda split, effects: np.ones(len(split.windows)),
         sim=SimpleNamespace(
             compile=lambda fixed: SimpleNamespace(opt=SimpleNamespace(timestep=0.0)), side_by_side=SideBySide(1)
         ),
@@ -132,3 +134,12 @@ def test_what_no_recording_shows_may_be_anything_in_its_range():
     where = replace(two, strength=1)
     state = replace(state, accepted=(AcceptedEffect(0, where, np.zeros(2)),))
     assert measure_intervals(context, state).accepted[0].x == pytest.approx([0.3, 0.1]), "no strength, but where or how"
+
+
+@pytest.mark.parametrize(("out", "kept"), [([7], 39), ([7, 20], 38), (range(5), 40)], ids=["one", "two", "too many"])
+def test_estimates_are_not_of_windows_out_of_line(out, kept):
+    windows = WhitenedWindows(Windows(np.repeat(np.arange(8), 5), np.arange(40), np.array([1])), np.ones((40, 5, 1)))
+    losses = np.where(np.isin(np.arange(40), out), 60.0, 1.0)
+    context = SimpleNamespace(loss=lambda split, effects: losses)
+    told = windows_in_line(context, SearchState((), (), SimpleNamespace(fit=windows)))
+    assert len(told.windows) == kept and (kept == 40 or not set(out) & set(told.windows.start))
