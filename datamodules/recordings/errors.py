@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 from types import ModuleType
 
 LISTED = 30
@@ -52,3 +53,12 @@ def optional(module: str, package: str, path: object) -> ModuleType:
         raise RecordingError(
             f'{path}: reading it needs {package}, which is not installed; pip install "idapt[import]"'
         ) from None
+
+
+def expect_magic(path: Path, magic: bytes, kind: str) -> None:
+    """Raise a RecordingError if a file does not begin as those of its kind do."""
+    with path.open("rb") as f:
+        start = f.read(len(magic))
+    if start != magic:
+        came = f"it begins with {start!r}" if start else "it is empty"
+        raise RecordingError(f"{path}: not a {kind}: {came}")

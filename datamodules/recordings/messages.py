@@ -38,6 +38,19 @@ class Message:
     decode: Callable[[], Any]
 
 
+def decode_message(path: object, name: str, kind: str, time: int, decoder: Callable[[bytes], Any], data: bytes) -> Any:
+    """A message of a topic and a type, logged at a time in ns; what the decoder raises names them."""
+    try:
+        return decoder(data)
+    except RecordingError:
+        raise
+    except Exception as error:  # the decoder raises what it likes on bytes that it cannot read
+        told = "it is compressed" if data.startswith(b"\x28\xb5\x2f\xfd") else f"{type(error).__name__}: {error}"[:200]
+        raise RecordingError(
+            f"{path}: a message of topic {name} at log time {time} ns cannot be decoded as {kind}: {told}"
+        ) from None
+
+
 def collect_topics(
     path: object, messages: Iterable[Message], names: list[str], images: ImageColumn | None, most: int | None
 ) -> dict[str, Topic]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from datamodules.recordings.errors import RecordingError, optional
+from datamodules.recordings.errors import RecordingError, expect_magic, optional
 from datamodules.recordings.mapping import ImageColumn, Mapping
-from datamodules.recordings.messages import Message, collect_topics
+from datamodules.recordings.messages import Message, collect_topics, decode_message
 from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.topics import LOG_TIME, Topic, read_log
 
@@ -31,11 +31,7 @@ def read_rosbag1(path: Path, mapping: Mapping) -> list[Recorded]:
         RecordingError: naming the file, the topic or column, what was expected and what came.
     """
     rosbag1 = optional("rosbags.rosbag1", "rosbags", path)
-    with path.open("rb") as f:
-        start = f.read(len(MAGIC))
-    if start != MAGIC:
-        came = f"it begins with {start!r}" if start else "it is empty"
-        raise RecordingError(f"{path}: not a bag of ROS 1, version 2.0: {came}")
+    expect_magic(path, MAGIC, "bag of ROS 1, version 2.0")
     try:
         with rosbag1.Reader(path) as bag:
             kept = [c for c in bag.connections if c.msgcount]
@@ -53,34 +49,15 @@ def read_rosbag1(path: Path, mapping: Mapping) -> list[Recorded]:
 
 
 def _messages(path: Path, rows: Iterator[tuple[Any, int, bytes]], decoders: dict[int, Callable]) -> Iterator[Message]:
-    for connection, time, data in rows:
-        decode = partial(_decode, path, connection, time, decoders[connection.id], data)
-        yield Message(connection.topic, {LOG_TIME: time}, decode)
-
-
-def _decode(path: Path, connection: Any, time: int, decoder: Callable[[bytes], Any], data: bytes) -> Any:
-    try:
-        return decoder(data)
-    except RecordingError:
-        raise
-    except Exception as error:  # the decoder raises what it likes on bytes that it cannot read
-        told = f"{type(error).__name__}: {error}"[:200]
-        raise RecordingError(
-            f"{path}: a message of topic {connection.topic} at log time {time} ns cannot be decoded as "
-            f"{connection.msgtype}: {told}"
-        ) from None
+    for c, time, data in rows:
+        decode = partial(decode_message, path, c.topic, c.msgtype, time, decoders[c.id], data)
+        yield Message(c.topic, {LOG_TIME: time}, decode)
 
 
 def _decoder(path: Path, topic: str, kind: str, text: str) -> Callable[[bytes], Any]:
     """A decoder, made when the first message comes, with types of its own: two topics may define one differently."""
-    made: list[Any] = []
-
-    def decode(data: bytes) -> Any:
-        if not made:
-            made.append(_types(path, topic, kind, text))
-        return made[0].deserialize_ros1(data, kind)
-
-    return decode
+    types = cache(partial(_types, path, topic, kind, text))
+    return lambda data: types().deserialize_ros1(data, kind)
 
 
 def _types(path: Path, topic: str, kind: str, text: str) -> Any:

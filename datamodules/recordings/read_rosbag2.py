@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from datamodules.recordings.errors import RecordingError, listing
+from datamodules.recordings.errors import RecordingError, expect_magic, listing
 from datamodules.recordings.mapping import ImageColumn, Mapping
-from datamodules.recordings.messages import Message, collect_topics
+from datamodules.recordings.messages import Message, collect_topics, decode_message
 from datamodules.recordings.read_mcap import read_mcap_files
 from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.ros2_types import type_decoder
@@ -73,11 +73,9 @@ def _files(folder: Path) -> list[Path]:
 
 def _connect(path: Path) -> sqlite3.Connection:
     """The database, to be read only, as a file that nobody writes to."""
+    expect_magic(path, SQLITE_MAGIC, "rosbag2 file (SQLite)")
     with path.open("rb") as f:
         header = f.read(100)
-    if not header.startswith(SQLITE_MAGIC):
-        came = f"it begins with {header[: len(SQLITE_MAGIC)]!r}" if header else "it is empty"
-        raise RecordingError(f"{path}: not a rosbag2 file (SQLite): {came}")
     if (size := path.stat().st_size) < (whole := _size_in(header)):
         raise RecordingError(f"{path}: the rosbag2 file is cut short: {size} of {whole} bytes are there; copy it again")
     rest = path.with_name(f"{path.name}-wal")
@@ -139,16 +137,4 @@ def _messages(
         name, kind, decoder = topics[number]
         if not isinstance(time, int) or not isinstance(data, bytes):
             raise RecordingError(f"{path}: topic {name}: a message has time {str(time)[:40]!r}, expected ns and bytes")
-        yield Message(name, {LOG_TIME: time}, partial(_decode, path, name, kind, time, decoder, data))
-
-
-def _decode(path: Path, name: str, kind: str, time: int, decoder: Callable[[bytes], Any], data: bytes) -> Any:
-    try:
-        return decoder(data)
-    except RecordingError:
-        raise
-    except Exception as error:  # the decoder raises what it likes on bytes that it cannot read
-        told = "it is compressed" if data.startswith(b"\x28\xb5\x2f\xfd") else f"{type(error).__name__}: {error}"[:200]
-        raise RecordingError(
-            f"{path}: a message of topic {name} at log time {time} ns cannot be decoded as {kind}: {told}"
-        ) from None
+        yield Message(name, {LOG_TIME: time}, partial(decode_message, path, name, kind, time, decoder, data))

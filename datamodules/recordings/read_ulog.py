@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from datamodules.recordings.errors import RecordingError, optional
+from datamodules.recordings.errors import RecordingError, expect_magic, optional
 from datamodules.recordings.mapping import ImageColumn, Mapping
 from datamodules.recordings.recorded import Recorded
 from datamodules.recordings.topics import LOG_TIME, Topic, read_log
@@ -31,11 +31,7 @@ def read_ulog(path: Path, mapping: Mapping) -> list[Recorded]:
         RecordingError: naming the file, the topic or column, what was expected and what came.
     """
     pyulog = optional("pyulog", "pyulog", path)
-    with path.open("rb") as f:
-        start = f.read(len(ULOG_MAGIC))
-    if start != ULOG_MAGIC:
-        came = f"it begins with {start!r}" if start else "it is empty"
-        raise RecordingError(f"{path}: not a ULog file of PX4: {came}")
+    expect_magic(path, ULOG_MAGIC, "ULog file of PX4")
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it thinks of a damaged file
             _check_formats(path, pyulog.ULog(str(path), parse_header_only=True).message_formats)
